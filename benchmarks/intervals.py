@@ -2,8 +2,6 @@
 
     python benchmarks/intervals.py [--world cave] [--episodes 1000] [--repetitions 2000] [--seed 0]
     python benchmarks/intervals.py --over worlds [--worlds 150] [--repetitions 1000]
-    python benchmarks/intervals.py --over sizes [--world cave] [--episodes 1000]
-    python benchmarks/intervals.py --over stops [--world cave] [--episodes 1000] [--repetitions 2000]
 
 Over pairs: the 95 % interval of a paired ratio. The pairs are drawn, with replacement, from a large comparison, whose
 own ratio of means is the truth:
@@ -17,30 +15,17 @@ A sample without an interval (pairs that are all equal) counts as not covered; h
 
 Over worlds: the intervals of statistics over many worlds: n small ones, of three kinds or of one, are drawn, with
 replacement, from many, whose own numbers are the truth.
-
-Over sizes: from pilots of few pairs of the same populations, how many pairs are asked for to tell the ratio within 5 %,
-with an assurance of 80 %, and in how many new samples of as many pairs the interval is as narrow.
-
-Over stops: from the same populations, the confidence sequence of `--until decided`, looked at after every 8 pairs: how
-often it covers at every look up to 400 pairs, and where it stops; how many pairs that takes, and what share of 200.
-Over league, in a checkout: the same, a pair being a world of the league's entries, compared with its reference.
 """
 
 import argparse
-import json
-from pathlib import Path
 
 import numpy as np
 from scipy import stats as scipy_stats
 
 import jexplore as jx
 from jexplore.bench.tables import markdown
-from jexplore.studies.results.league import LEAGUES, REFERENCE
-from jexplore.studies.statistics.aggregate import Estimate, improvement, interquartile_mean
 from jexplore.studies.statistics.over_worlds import share_over_worlds
 from jexplore.studies.statistics.paired import paired_ratio
-from jexplore.studies.statistics.sequential import OPEN, anytime_ratio, verdict_of
-from jexplore.studies.statistics.sizes import sample_size
 
 PAIRS = (5, 10, 20, 50, 100)
 KINDS = {
@@ -50,9 +35,6 @@ KINDS = {
 }
 EPISODES = 4  # in each of the small worlds
 WORLDS = (6, 12, 24, 48)
-PILOTS = (6, 10, 20, 50)
-WITHIN = 0.05
-LOOKS, MOST = 400, 200  # pairs up to which coverage is checked; pairs at most
 
 
 def populations(values, reference, rng):
@@ -130,20 +112,13 @@ def small_worlds(given):
 
 
 def estimates(values, reference):
-    """`{what: estimate}`: functions of `(kinds, worlds)`, two of `[N]` numbers of worlds, to an `Estimate`."""
+    """`{what: estimate}`: functions of `(kinds, worlds)`, two of `[N]` numbers of worlds, to `(value, low, high)`."""
     with np.errstate(all="ignore"):
         ratios = np.where(values == reference, 1.0, values / reference)
-    near = (ratios <= 1.1).astype(np.float64)
-
-    def names(kinds):
-        return np.repeat([f"{list(KINDS)[kind]}#{i}" for i, kind in enumerate(kinds)], EPISODES)
-
+    wins = {"shorter": (ratios < 1) + 0.5 * (ratios == 1), "at most 1.1 times": (ratios <= 1.1).astype(np.float64)}
     return {
-        "shorter": lambda at: improvement(values[at].ravel(), reference[at].ravel(), names(at[0])),
-        "at most 1.1 times": lambda at: Estimate(
-            *share_over_worlds(near[at].mean(axis=-1), at[0].tolist()), len(at[0])
-        ),
-        "interquartile mean": lambda at: interquartile_mean(ratios[at].ravel(), names(at[0])),
+        what: lambda at, own=own: share_over_worlds(own[at].mean(axis=-1), at[0].tolist())[:3]
+        for what, own in wins.items()
     }
 
 
@@ -153,20 +128,20 @@ def resampled(estimate, at, rng, resamples=199):
     values = []
     for _ in range(resamples):
         again = np.concatenate([rng.choice(worlds[kinds == kind], (kinds == kind).sum()) for kind in np.unique(kinds)])
-        values.append(estimate((np.sort(kinds), again)).value)
+        values.append(estimate((np.sort(kinds), again))[0])
     return np.quantile(values, [0.025, 0.975])
 
 
 def covered_over_worlds(estimate, chosen, n, given, rng):
     """Per cent of samples of n worlds of the chosen kinds whose interval covers, and of a bootstrap's, as text."""
     everywhere = np.repeat(chosen, given.worlds), np.tile(np.arange(given.worlds), len(chosen))
-    truth, hits, none, boots = estimate(everywhere).value, 0, 0, []
+    truth, hits, none, boots = estimate(everywhere)[0], 0, 0, []
     for i in range(given.repetitions):
         kinds = np.repeat(chosen, n // len(chosen))
         at = kinds, rng.integers(given.worlds, size=len(kinds))
-        found = estimate(at)
-        hits += bool(found.low <= truth <= found.high)
-        none += bool(np.isnan(found.low))
+        _, low, high = estimate(at)
+        hits += bool(low <= truth <= high)
+        none += bool(np.isnan(low))
         if i % 20 == 0:
             low, high = resampled(estimate, at, rng)
             boots.append(low <= truth <= high)
@@ -190,67 +165,7 @@ def over_worlds(given):
     print("95 % interval covers (in brackets: without one), and, of a twentieth of them, a percentile bootstrap's.")
 
 
-def over_sizes(given):
-    """The table of sizes asked for by pilots, and how often they are enough."""
-    rng, rows, paths = np.random.default_rng(given.seed), [], paths_of(given)
-    for name, (values, reference) in populations(*paths, rng).items():
-        for pilot in PILOTS:
-            needed, enough = [], 0
-            for _ in range(given.repetitions):
-                first = rng.integers(len(values), size=pilot)
-                try:
-                    n = sample_size(values[first], reference[first], within=WITHIN)
-                except jx.InputError:  # all pairs of the pilot are identical
-                    continue
-                again = rng.integers(len(values), size=n)
-                found = paired_ratio(values[again], reference[again])
-                needed.append(n)
-                enough += bool(found.high <= found.ratio * (1 + WITHIN) * (1 + 1e-9)) or bool(np.isnan(found.high))
-            quarters = ", ".join(f"{q:.0f}" for q in np.quantile(needed, [0.25, 0.5, 0.75]))
-            rows.append([name, str(pilot), quarters, f"{100 * enough / len(needed):.1f}", str(len(needed))])
-    print(markdown(["pairs", "pilot", "needed: quartiles", "narrow enough", "pilots"], rows))
-    print(f"{given.world}; per cent of new samples of as many pairs whose 95 % interval is within {100 * WITHIN:g} %.")
-
-
-def stopped(populations, most, given, rng):
-    """The table of comparisons that are looked at after every 8 pairs until they are decided, `most` at the latest."""
-    rows, looks = [], range(8, max(most, LOOKS) + 1, 8)
-    for name, (values, reference) in populations.items():
-        truth, always, covered, ends = values.mean() / reference.mean(), 0, 0, []
-        for _ in range(given.repetitions):
-            chosen = rng.integers(len(values), size=looks[-1])
-            found = [anytime_ratio(values[chosen[:n]], reference[chosen[:n]]) for n in looks]
-            covers = [not (one.low > truth or one.high < truth) for one in found]
-            end = next((i for i, one in enumerate(found) if verdict_of(one) != OPEN), len(found) - 1)
-            always, covered = always + all(covers), covered + covers[end]
-            ends.append(min(looks[end], most))
-        shares = (f"{100 * hits / given.repetitions:.1f}" for hits in (always, covered))
-        spared = f"{100 - 100 * np.mean(ends) / most:.0f}"
-        rows.append([name, f"{truth:.3f}", *shares, f"{np.median(ends):.0f}", spared])
-    mean = f"{np.mean([float(row[-1]) for row in rows]):.0f}"
-    print(markdown(["pairs", "true ratio", "covers always", "where it stops", "pairs, median", "spared, %"], rows))
-    print(f"{given.repetitions} samples; spared: of {most} pairs, {mean} % in the mean of the rows.")
-
-
-def over_stops(given):
-    """The table of stopped comparisons in one world."""
-    rng = np.random.default_rng(given.seed)
-    stopped(populations(*paths_of(given), rng), MOST, given, rng)
-
-
-def over_league(given):
-    """The table of stopped comparisons over worlds: a pair is a world of the league, as its entries have it."""
-    paths = {}
-    for file in sorted(Path("leagues", next(iter(LEAGUES))).glob("*.json")):
-        entry = json.loads(file.read_text())
-        column = entry["columns"].index("path_m")
-        paths[entry["strategy"]] = np.array([row[column] for row in entry["episodes"]])
-    reference = paths.pop(REFERENCE)
-    pairs = {name: (values, reference) for name, values in paths.items()}
-    stopped(pairs, len(reference), given, np.random.default_rng(given.seed))
-
-
-OVER = {"stops": over_stops, "league": over_league, "pairs": over_pairs, "worlds": over_worlds, "sizes": over_sizes}
+OVER = {"pairs": over_pairs, "worlds": over_worlds}
 
 
 def main():

@@ -38,7 +38,6 @@ NUMBER_BOUNDS: dict[str, tuple[float, float]] = {
     "workers": (1, 1024),
     "lanes": (1, 2**20),
     "batch_sizes": (1, 2**16),
-    "sides": (32, 2048),
     "repeat": (1, 1000),
     "seconds": (0.001, 7 * 86400.0),
     "bound_seconds": (0.001, 7 * 86400.0),

@@ -23,25 +23,23 @@ YARDSTICK = Path(__file__).resolve().parents[1] / "benchmarks" / "yardstick.py"
 @pytest.mark.skipif(not find_compiler(), reason="no C++ compiler")
 def test_both_engines_are_measured_and_give_the_same(tmp_path, capsys):
     out = tmp_path / "new"
-    options = ("--worlds", SMALL, "--sides", 64, "--batch-sizes", 2, "--episodes", 3, "--repeat", 1, "--cache")
+    options = ("--worlds", SMALL, "--batch-sizes", 2, "--repeat", 1, "--cache")
     assert not main.main(["bench", *map(str, options), "--out", str(out)])
     said = capsys.readouterr().out
     assert sorted(path.name for path in out.iterdir()) == ["bench.json", "run.json"]
-    assert "Episodes by batch size:" in said
-    assert "Episodes by map size:" in said
     assert "| NO |" not in said
     report, record = (json.loads((out / name).read_text()) for name in ("bench.json", "run.json"))
     assert {"jexplore", "jax", "device", "cpu", "cores"} <= set(report["environment"])
     assert record["command"][:2] == ["jexplore", "bench"]
     assert record["measured"] == report["settings"]
-    for rows, n in ((report["batches"], 2), (report["sides"], 3)):
-        assert [row["engine"] for row in rows] == ["auto", "jax"]
-        assert [row["level"] for row in rows] == ["native on a CPU", "JAX"]
-        for row in rows:
-            assert row["equal"] is True
-            assert row["episodes"] == n
-            assert row["quality"]["complete"] == 1
-            assert row["episodes_per_s"] > 0
+    rows = report["batches"]
+    assert [row["engine"] for row in rows] == ["auto", "jax"]
+    assert [row["level"] for row in rows] == ["native on a CPU", "JAX"]
+    for row in rows:
+        assert row["equal"] is True
+        assert row["episodes"] == 2
+        assert row["quality"]["complete"] == 1
+        assert row["episodes_per_s"] > 0
     assert [row["compile_s"] > 0 for row in report["batches"]] == [False, True]
 
 
@@ -50,8 +48,8 @@ def test_both_engines_are_measured_and_give_the_same(tmp_path, capsys):
     [
         (("--engine", "warp"), "engine must be one of auto, jax, got 'warp'"),
         (("--engine",), "got none"),
-        (("--sides", "64", "64"), "different integers"),
-        (("--sides",), "sides must be one or more"),
+        (("--batch-sizes", "64", "64"), "different integers"),
+        (("--batch-sizes",), "batch_sizes must be one or more"),
     ],
 )
 def test_wrong_input_is_one_line_before_anything_runs(options, says, refuses, monkeypatch, tmp_path):
@@ -67,24 +65,19 @@ def test_ctrl_c_leaves_nothing(tmp_path, capsys, monkeypatch):
 
     monkeypatch.setattr(bench, "run_once", interrupted)
     out = tmp_path / "out"
-    assert main.main(["bench", "--worlds", SMALL, "--sides", "64", "--out", str(out)]) == 130
+    assert main.main(["bench", "--worlds", SMALL, "--out", str(out)]) == 130
     assert "interrupted, no results were written" in capsys.readouterr().err
     assert not out.exists()
 
 
 def test_defaults_suit_the_machine(monkeypatch):
-    plan = bench.prepare_bench(worlds=[SMALL], sides=[32])
-    assert plan.engines == ("auto", "jax")
-    assert plan.batches == dict.fromkeys(plan.engines, (1, 4, 16, 64))
-    assert plan.episodes == 16
-    assert plan.sized[0].shape == (32, 32)
+    plan = bench.prepare_bench(worlds=[SMALL])
+    assert plan.batches == dict.fromkeys(("auto", "jax"), (1, 4, 16, 64))
     quick = bench.prepare_bench(quick=True, batch_sizes=[8, 2], engine=["jax"])
     assert [world.name for world in quick.worlds] == ["cave"]
-    assert quick.sides == (64, 128)
     assert quick.batches == {"jax": (2, 8)}
-    assert [world.shape for world in quick.sized] == [(64, 64), (128, 128)]
     monkeypatch.setattr(bench, "has_lanes", lambda engine: engine == "jax")
-    assert bench.prepare_bench(worlds=[SMALL], sides=[32]).batches["jax"][-1] == 4096
+    assert bench.prepare_bench(worlds=[SMALL]).batches["jax"][-1] == 4096
 
 
 def test_lanes_are_filled_again_and_one_other_bit_is_told(monkeypatch):
@@ -98,8 +91,8 @@ def test_lanes_are_filled_again_and_one_other_bit_is_told(monkeypatch):
         return bench.Finished([Outcomes(found, None)], Costs(levels={"closest": [engine]}))
 
     monkeypatch.setattr(bench, "run_once", play)
-    plan = bench.prepare_bench(worlds=[SMALL], sides=[32], strategies=["closest"])
-    rows = bench.measure_episodes(plan.worlds[0], plan.strategies[0], [("auto", 2), ("jax", 4)], 3, 1)
+    plan = bench.prepare_bench(worlds=[SMALL], strategies=["closest"])
+    rows = bench.measure_episodes(plan.worlds[0], plan.strategies[0], [("auto", 2), ("jax", 4)], 1)
     assert asked[:2] == [(2, "auto", None), (8, "jax", 4)]
     assert [row["equal"] for row in rows] == [False, False]
 

@@ -4,7 +4,6 @@ import dataclasses
 import math
 
 import numpy as np
-import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 from ref.refusals import refused
@@ -21,11 +20,9 @@ from jexplore.studies.checks import prepare_jobs
 from jexplore.studies.comparison import compare
 from jexplore.studies.results import comparison
 from jexplore.studies.results.columns import COLUMNS
-from jexplore.studies.results.comparison import ComparisonResult, assemble
+from jexplore.studies.results.comparison import assemble
 from jexplore.studies.results.units import Ran, unit_table
-from jexplore.studies.statistics import by_world, coverage, league, sizes
-from jexplore.worlds.readers.ros import read_ros
-from jexplore.worlds.world import World
+from jexplore.studies.statistics import by_world, coverage, league
 
 LIDAR = Lidar(n_beams=37, range_m=1.0)
 
@@ -112,12 +109,6 @@ def test_summary_markdown_and_warnings(found):
     assert "3 strategies in 2 worlds, 24 episodes" in repr(found)
 
 
-def test_sizes(found):
-    table = found.sample_sizes(within=0.1)
-    pd.testing.assert_frame_equal(table, sizes.sample_sizes(found.episodes, within=0.1))
-    assert table["world"].tolist() == [*found.summary["world"][[1, 2, 4, 5]], "all worlds", "all worlds"]
-
-
 def test_figures(found):
     ax = Figure().add_subplot()
     assert found.plot(ax, "with rooms/two rooms") is ax
@@ -126,7 +117,6 @@ def test_figures(found):
     assert found.plot().containers[0].lines[0].get_xdata().item() == found.summary["mean"][0]
     assert len(found.compare_figure().axes) == 4  # of each world paths and ratios
     assert len(found.coverage_figure().axes) == 2
-    assert len(found.profile_figure().axes[0].lines) == 3
     assert len(found.paths_figure().axes) == 7  # two worlds of three strategies, and the colour bar
     refused(r"unknown world of this comparison: 'x' \(there are: two rooms, with", found.plot, ax, "x")
 
@@ -231,16 +221,6 @@ def test_a_building_in_other_cells_or_on_other_ground_is_another():
     checks.require_different_buildings([world, coarse, steep])
     with pytest.raises(InputError, match="'coarse' and 'again' are the same building, which would count twice"):
         checks.require_different_buildings([world, coarse, coarse.replace(name="again")])
-
-
-def test_maps_of_worlds_called_alike_are_files_of_their_own(tmp_path):
-    shapes = {"floor1/map.yaml": (3, 4), "floor2/map.yaml": (5, 2)}
-    worlds = [World(occupied=np.ones(shape, bool), name=name) for name, shape in shapes.items()]
-    maps = {(name, "closest"): np.ones((1, *shape), np.uint8) for name, shape in shapes.items()}
-    episodes = pd.DataFrame({"world": list(shapes), "strategy": "closest", "episode": 0})
-    files = ComparisonResult(episodes, tuple(worlds), {}, 0.0, 0.0, maps=maps).save_maps(tmp_path)
-    assert [file.name for file in files] == ["floor1_map.yaml-closest-0.yaml", "floor2_map.yaml-closest-0.yaml"]
-    assert [read_ros(file)[0].shape for file in files] == list(shapes.values())
 
 
 def test_what_does_not_fit_into_memory_is_refused(monkeypatch):

@@ -112,7 +112,7 @@ def small(code):
 
 def made_small(words):
     """A command with one episode a world, in small worlds, few frames, no page of replays."""
-    if words[0] in ("compare", "explore", "segment", "bound") or "--from-episode" in words:
+    if words[0] in ("compare", "explore", "segment", "bound"):
         words = [SMALL.get(word, word) for word in words if not re.match(r"office#[02]", word)]
     numbers = {"--episodes": "1", "--starts": "1", "--seconds": "1", "--frames": "5"}
     words = [numbers.get(before, word) for before, word in itertools.pairwise(["", *words])]

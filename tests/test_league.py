@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from ref.refusals import refused
 from scipy import stats as scipy_stats
-from test_aggregate import episodes
+from test_over_worlds import episodes
 
 from jexplore.cli import main
 from jexplore.policies import parse_strategy

@@ -10,12 +10,11 @@ from matplotlib.figure import Figure
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from ref.figures import check_texts
 from ref.refusals import refused
-from test_aggregate import episodes, fail
+from test_over_worlds import episodes, fail
 from test_response import RANGE, sweep
 
 from jexplore.report.plots import compare, curves, looks, walks
 from jexplore.studies.statistics import by_world, figures, league, response
-from jexplore.studies.statistics.aggregate import profiles
 from jexplore.worlds.world import World
 
 LONG = "decision-theoretic+recheck+segment:samples=500,lam=0.2"
@@ -134,7 +133,6 @@ def test_nothing_to_draw_is_refused():
     table = drawn(["w"], ["a"])
     refused("episodes must be one or more", figures.compare_figure, table.iloc[:0])
     refused("one world or more", figures.coverage_figure, {})
-    refused("a start that every strategy has", figures.profile_figure, table.iloc[:0])
 
 
 def test_quartiles_by_hand():
@@ -179,19 +177,6 @@ def test_coverage_of_what_was_known_at_the_start_and_of_nothing():
     figure = figures.coverage_figure(known)
     assert [ax.texts[0].get_text() for ax in shown(figure)] == ["all was known at the start", "no data"]
     check_texts(figure)
-
-
-def test_profile_figure():
-    table = drawn([f"cave#{i}" for i in range(4)], ["a", "b"])
-    figure = figures.profile_figure(table)
-    (ax,) = shown(figure)
-    found = profiles(table)
-    for line, (_, rows) in zip(ax.lines, found.groupby("strategy", sort=False)):
-        np.testing.assert_allclose(line.get_xydata(), np.stack([rows["ratio"], 100 * rows["share"]], axis=-1))
-    assert len(ax.collections) == 2
-    check_texts(figure)
-    check_texts(figures.profile_figure(drawn(["w"], FOURTEEN), over="first"))
-    check_texts(figures.profile_figure(episodes({("w", "a"): [0.0]})))
 
 
 def test_response_figure():

@@ -150,15 +150,6 @@ def test_results_are_iterated_over_by_strategy(found):
         made["cloest"]
 
 
-def test_tables_as_files(found, tmp_path):
-    made = found[1]
-    made.to_csv(tmp_path / "a.csv")
-    assert (tmp_path / "a.csv").read_text() == made.to_csv()
-    read = pd.read_csv(tmp_path / "a.csv")
-    assert read["path_m"].tolist() == pytest.approx(made.episodes["path_m"].tolist())
-    refused("must be a file that can be written", made.to_csv, tmp_path / "none" / "a.csv")
-
-
 def test_a_bar_shows_what_is_done(capsys):
     told = []
     with progress.progress_bar(True, 5, "episodes", told.append) as moved:

@@ -17,10 +17,10 @@ from jexplore.config import InputError
 from jexplore.driving import batch
 from jexplore.engine.runner import Costs
 from jexplore.report import operator_view, plot_traces, trace_tables
-from jexplore.studies.traces import extraction, job, recording, tracing
+from jexplore.studies.traces import job, recording, tracing
 from jexplore.tracemap import corrected, json_form
 from jexplore.tracemap.merging.rigid import Move, moved_map
-from jexplore.tracemap.record import BtmMap, Link, Node, check_map
+from jexplore.tracemap.record import BtmMap, check_map
 from jexplore.tracemap.similarity import code
 
 AWAY_M = 100.0  # m; the corrected map is shifted by this here, so that it is known again
@@ -134,15 +134,6 @@ def test_what_it_says(ran):
     assert len({len(line) for line in said[:11]}) == 1
 
 
-@pytest.mark.jit
-def test_a_map_from_an_episode(tmp_path, capsys):
-    assert main.main(["trace", "--from-episode", "--world", "course", "--out", str(tmp_path / "e")]) == 0
-    said = capsys.readouterr().out
-    assert "true divergences found, within 2 cells and of their degree: 2 of 2; " in said
-    found = json_form.read_btm(tmp_path / "e" / "btm.json")
-    assert found.nodes[0].type == "terminal"
-
-
 @pytest.mark.parametrize(
     ("options", "says"),
     [
@@ -154,9 +145,7 @@ def test_a_map_from_an_episode(tmp_path, capsys):
         (("--start", "2.5", "27", "east"), "--start: Could not parse arguments ['2.5', '27', 'east']"),
         (("--start", "2.5", "27", "nan"), "start heading must be a number"),
         (("--sweep", "circle=0.2,1.5"), "tuning.circle"),
-        (("--from-episode", "--robot", "wheeled"), "--from-episode takes no --robot"),
-        (("--clutter-m", "2"), "--clutter-m goes with --from-episode"),
-        (("--from-episode", "--clutter-m", "-1"), "clutter_m must be"),
+        (("--contact", "none"), "--contact goes with --robots"),
     ],
 )
 def test_what_is_refused(options, says, capsys, tmp_path, monkeypatch):
@@ -182,21 +171,6 @@ def test_an_interruption_keeps_what_is_finished(tmp_path, capsys):
     assert len(found.table) in range(8, 40, 8)
     assert found.table["run"].tolist() == list(range(len(found.table)))
     assert set(found.table["outcome"]) == {"STEP_LIMIT"}
-
-
-def test_divergences_are_matched_by_place_and_degree():
-    def at(number, x, links):
-        return Node(number, x, 0.0, "divergence"), [Link(0, number, -1, "un-searched", b) for b in range(links)]
-
-    def whole(*parts):
-        links = [link for _, own in parts for link in own]
-        return BtmMap(tuple(node for node, _ in parts), tuple(Link(i, k.start, -1, k.status, k.start_bearing_deg)
-                                                              for i, k in enumerate(links)))  # fmt: skip
-
-    true = whole(at(0, 0.0, 3), at(1, 5.0, 2))
-    assert extraction.matched(whole(at(0, 0.15, 3), at(1, 5.0, 3)), true, 0.1) == (1, 2, 2)
-    assert extraction.matched(whole(at(0, 0.25, 3)), true, 0.1) == (0, 1, 2)
-    assert extraction.matched(true, true, 0.1) == (2, 2, 2)
 
 
 @pytest.mark.parametrize(

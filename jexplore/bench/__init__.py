@@ -1,16 +1,15 @@
-"""Measurements of whole episodes: by engine, by batch size, by map size.
+"""Measurements of whole episodes, by engine and batch size.
 
 `prepare_bench` refuses invalid requests, `run_bench` measures, `tables.bench_tables` shows it.
 """
 
 import contextlib
-import dataclasses
 import functools
 import itertools
 import os
 import statistics
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -29,59 +28,20 @@ from jexplore.worlds.starts import draw_starts
 from jexplore.worlds.world import World, with_ring
 
 SEED = 0
-DEFAULT: dict[str, Any] = {
-    "worlds": ("cave", "office", "hospital"),
-    "strategies": ("closest+recheck",),
-    "batches": (1, 4, 16, 64),
-    "sides": (64, 128, 256, 512),
-    "episodes": 16,
-    "repeat": 5,
-}
+WORLDS, STRATEGIES, BATCHES, REPEAT = ("cave", "office", "hospital"), ("closest+recheck",), (1, 4, 16, 64), 5
+QUICK_WORLDS, QUICK_BATCHES, QUICK_REPEAT = ("cave",), (1, 4), 2
 BATCHES_ACCELERATOR = (1, 4, 16, 64, 256, 1024, 4096)  # lanes
-QUICK: dict[str, Any] = {"worlds": ("cave",), "batches": (1, 4), "sides": (64, 128), "episodes": 4, "repeat": 2}
-GENERATOR, LEAST_M, CELL_M = "cave", 6.4, 0.1  # of the worlds of a given side
+CELL_M = 0.1
 REFILLS = 2  # episodes a lane at least, so that lanes are filled again
 
 
-@dataclasses.dataclass(frozen=True)
-class Agenda:
+class Agenda(NamedTuple):
     """Planned measurements."""
 
     worlds: list[World]
     strategies: list[Strategy]
-    engines: tuple[str, ...]
-    batches: dict[str, tuple[int, ...]]  # by engine
-    sized: list[World]  # one for each side
-    sides: tuple[int, ...]
-    episodes: int
+    batches: Mapping[str, tuple[int, ...]]  # by engine
     repeat: int
-
-    @property
-    def total(self) -> int:
-        """Return the number of measurements that `run_bench` reports one by one."""
-        return (len(self.worlds) + len(self.sized)) * len(self.strategies)
-
-
-def sized_name(side: int) -> tuple[str, float]:
-    """Return the name of a world with a number of cells a side, and the edge of its cells in metres."""
-    cell_m = max(CELL_M, LEAST_M / side)
-    return f"{GENERATOR}:width_m={side * cell_m:g},height_m={side * cell_m:g}", cell_m
-
-
-def _distinct(name, values) -> tuple[int, ...]:
-    values = tuple(require_setting(name, value) for value in values)
-    if not values or len(set(values)) < len(values):
-        raise InputError(f"{name} must be one or more different integers, got {list(values)}")
-    return tuple(sorted(values))
-
-
-def _worlds_of(names, cell_m):
-    """Load worlds that episodes can be run in."""
-    worlds = [with_ring(world) for world in ready_worlds(names, cell_m)]
-    for world in worlds:
-        require_memory(world, LIDAR, RULES)
-        ready_starts(world, "random", 1, seed=SEED, rules=RULES)
-    return worlds
 
 
 def has_lanes(engine: str) -> bool:
@@ -90,35 +50,29 @@ def has_lanes(engine: str) -> bool:
 
 
 def prepare_bench(
-    *,
-    worlds: str | os.PathLike[str] | World | Iterable[str | os.PathLike[str] | World] | None = None,
-    strategies: str | Iterable[Any] | None = None,
-    engine: Sequence[str] | None = None,
-    batch_sizes: Iterable[int] | None = None,
-    sides: Iterable[int] | None = None,
-    episodes: int | None = None,
-    repeat: int | None = None,
-    quick: bool = False,
-) -> Agenda:
+    *, worlds: str | os.PathLike[str] | World | Iterable[str | os.PathLike[str] | World] | None = None,
+    strategies: str | Iterable[Any] | None = None, engine: Sequence[str] | None = None,
+    batch_sizes: Iterable[int] | None = None, repeat: int | None = None, quick: bool = False,
+) -> Agenda:  # fmt: skip
     """Check and load everything, and start JAX with one thread: the options of `jexplore bench`. None: the default."""
-    default = DEFAULT | (QUICK if quick else {})
     if engine is not None and not engine:
         raise InputError(f"engine must be one or more of {', '.join(ENGINES)}, got none")
     for name in engine or ():
         require_engine(name)
-    given = None if batch_sizes is None else _distinct("batch_sizes", batch_sizes)
-    sides = _distinct("sides", default["sides"] if sides is None else sides)
-    numbers = {"episodes": episodes, "repeat": repeat}
-    counts = {name: require_setting(name, default[name] if value is None else value) for name, value in numbers.items()}
-    strategies = ready_strategies(default["strategies"] if strategies is None else strategies)
-    worlds = _worlds_of(default["worlds"] if worlds is None else worlds, CELL_M)
-    sized = [world for side in sides for world in _worlds_of(*sized_name(side))]
+    given = None if batch_sizes is None else [require_setting("batch_sizes", size) for size in batch_sizes]
+    if given is not None and (not given or len(set(given)) < len(given)):
+        raise InputError(f"batch_sizes must be one or more different integers, got {given}")
+    turns: int = require_setting("repeat", (QUICK_REPEAT if quick else REPEAT) if repeat is None else repeat)
+    ready = ready_strategies(STRATEGIES if strategies is None else strategies)
+    names = (QUICK_WORLDS if quick else WORLDS) if worlds is None else worlds
+    loaded = [with_ring(world) for world in ready_worlds(names, CELL_M)]
+    for world in loaded:
+        require_memory(world, LIDAR, RULES)
+        ready_starts(world, "random", 1, seed=SEED, rules=RULES)
     find_resources(in_lanes=False, workers=1)  # starts JAX; part is always measured on the CPU
-    chosen = tuple(dict.fromkeys(engine or ENGINES))
-    batches = {
-        name: given or (BATCHES_ACCELERATOR if has_lanes(name) and not quick else default["batches"]) for name in chosen
-    }
-    return Agenda(worlds, strategies, chosen, batches, sized, sides, **counts)
+    own = tuple(sorted(given)) if given else QUICK_BATCHES if quick else None
+    batches = {name: own or (BATCHES_ACCELERATOR if has_lanes(name) else BATCHES) for name in engine or ENGINES}
+    return Agenda(loaded, ready, batches, turns)
 
 
 @contextlib.contextmanager
@@ -149,36 +103,23 @@ def run_bench(
         settings = {
             "worlds": [world.name for world in plan.worlds],
             "strategies": [strategy.name for strategy in plan.strategies],
-            "engines": list(plan.engines),
-            "batches": {name: list(sizes) for name, sizes in plan.batches.items()},
-            "sides": list(plan.sides),
-            "generator": GENERATOR,
-            "episodes": plan.episodes,
-            "repeat": plan.repeat,
-            "cached": cache,
-            "pinned": pinned,
-            "clock": speed_clock(),
+            **{"batches": plan.batches, "repeat": plan.repeat, "cached": cache},
+            **{"pinned": pinned, "clock": speed_clock()},
         }
-    report = {"environment": surroundings(), "settings": settings, "batches": [], "sides": []}
-    by_batch = [(engine, size) for engine in plan.engines for size in plan.batches[engine]]
-    by_side = [(name, plan.batches[name][-1] if has_lanes(name) else plan.episodes) for name in plan.engines]
-    places = [("batches", by_batch, world) for world in plan.worlds]
-    places += [("sides", by_side, world) for world in plan.sized]
+    report = {"environment": surroundings(), "settings": settings, "batches": []}
+    wanted = [(engine, size) for engine, sizes in plan.batches.items() for size in sizes]
     with _compiling(cache):
-        for done, ((part, wanted, world), strategy) in enumerate(itertools.product(places, plan.strategies)):
-            report[part] += measure_episodes(world, strategy, wanted, plan.episodes, plan.repeat)
-            on_progress(done + 1)
+        for done, (world, strategy) in enumerate(itertools.product(plan.worlds, plan.strategies), start=1):
+            report["batches"] += measure_episodes(world, strategy, wanted, plan.repeat)
+            on_progress(done)
     return report
 
 
 def measure_episodes(
-    world: World, strategy: Strategy, wanted: Sequence[tuple[str, int]], episodes: int, repeat: int
+    world: World, strategy: Strategy, wanted: Sequence[tuple[str, int]], repeat: int
 ) -> list[dict[str, Any]]:
-    """Time whole episodes in a world with a ring, in turns: a dict for each of `wanted`, pairs of engine and batch.
-
-    `episodes`: least number in lanes; `repeat`: turns.
-    """
-    counts = [max(episodes, REFILLS * batch) if has_lanes(engine) else batch for engine, batch in wanted]
+    """Time whole episodes in a world with a ring, in turns: a dict for each of `wanted`, pairs of engine and batch."""
+    counts = [REFILLS * batch if has_lanes(engine) else batch for engine, batch in wanted]
     starts = draw_starts(world, SEED, max(counts), RULES.clearance_m)
     tasks = {
         i: functools.partial(run_once, world, strategy, starts[:n], engine, batch if has_lanes(engine) else None)
@@ -197,7 +138,7 @@ def measure_episodes(
             "level": ", ".join(costs.levels[strategy.name]), "batch": batch, "episodes": n,
             "compile_s": costs.compile_s, "wall_s": median_and_min(took["wall"]), "cpu_s": median_and_min(took["cpu"]),
             "episodes_per_s": 1 / seconds, **{f"{k}_per_s": quality[k] / seconds for k in ("steps", "scans", "plans")},
-            "side": max(world.shape), "quality": quality, "equal": equal,
+            "quality": quality, "equal": equal,
         })  # fmt: skip
     return rows
 

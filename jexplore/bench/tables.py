@@ -26,8 +26,8 @@ def plus_minus(value: Mapping[str, Any]) -> str:
     return f"{value['mean']:.1f}" + ("" if value["se"] is None else f" ± {value['se']:.1f}")
 
 
-def episodes_table(rows: Iterable[Mapping[str, Any]]) -> str:
-    """Tabulate whole episodes: a row each."""
+def bench_tables(report: Mapping[str, Any]) -> str:
+    """Format the whole report: a row an engine and batch size."""
     header = [
         "world", "cells", "strategy", "engine", "level", "batch", "episodes", "compile s", "ms/episode", "CPU ms",
         "episodes/s", "steps/s", "ms/plan", "path m", "explored", "COMPLETE", "equal",
@@ -40,11 +40,5 @@ def episodes_table(rows: Iterable[Mapping[str, Any]]) -> str:
             1e3 / row["plans_per_s"] if row["plans_per_s"] else None, plus_minus(row["quality"]["path_m"]),
             f"{row['quality']['explored_fraction']:.3f}", f"{row['quality']['complete']:.0%}", row["equal"],
         ]
-        for row in rows
+        for row in report["batches"]
     ])  # fmt: skip
-
-
-def bench_tables(report: Mapping[str, Any]) -> str:
-    """Format the whole report."""
-    parts = ("Episodes by batch size", report["batches"]), ("Episodes by map size", report["sides"])
-    return "\n\n".join(f"{title}:\n\n{episodes_table(rows)}" for title, rows in parts)

@@ -11,7 +11,7 @@ from jexplore.cli.output.console import Out, progress_of
 class Bench(OutOptions):
     """Measure episodes on this machine.
 
-    Whole episodes by engine, batch size and map size, and compiling. Runs on one core, or on the first accelerator.
+    Whole episodes by engine and batch size, and compiling. Runs on one core, or on the first accelerator.
     Prints Markdown tables and writes bench.json and run.json. A quiet machine gives good figures.
     """
 
@@ -22,16 +22,12 @@ class Bench(OutOptions):
     batch_sizes: IntegerList = None
     """Run this number of episodes, or of lanes of the engine jax on an accelerator (default: 1 4 16 64; up to 4096
     lanes)."""
-    sides: IntegerList = None
-    """Measure the cost by map size, cells a side, 32 to 2048 (default: 64 128 256 512)."""
     engine: OwnNames = None
     """Measure these engines: auto, jax or both, as for `jexplore compare` (default: both)."""
-    episodes: Number = None
-    """Run this number of episodes for each map size, and at least this number of lanes (default: 16)."""
     repeat: Number = None
     """Repetitions of every measurement (default: 5)."""
     quick: bool = False
-    """Take smaller defaults: the cave, batches of 1 and 4, sides 64 and 128, 4 episodes, 2 turns."""
+    """Take smaller defaults: the cave, batches of 1 and 4, 2 turns."""
     cache: bool = False
     """Use compiled programs that earlier commands have kept: times of compiling are then those of loading."""
 
@@ -41,10 +37,8 @@ class Bench(OutOptions):
         from jexplore.bench import tables
 
         with Out(self, "bench") as out:
-            plan = bench.prepare_bench(
-                **fields_of(self, "worlds strategies engine batch_sizes sides episodes repeat quick")
-            )
-            with progress_of(plan.total, "measurements") as progress:
+            plan = bench.prepare_bench(**fields_of(self, "worlds strategies engine batch_sizes repeat quick"))
+            with progress_of(len(plan.worlds) * len(plan.strategies), "measurements") as progress:
                 progress.update(0)
                 report = bench.run_bench(plan, cache=self.cache, on_progress=progress.update)
             record = out.record(arguments, self, measured=report["settings"])

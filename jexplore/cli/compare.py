@@ -17,14 +17,12 @@ from jexplore.cli.options import (
     SceneOptions,
     TrustOptions,
     TunedFile,
-    UntilText,
     default_worlds,
     fields_of,
     is_small,
 )
 from jexplore.cli.output.console import Out, note_if_slow, working
 from jexplore.cli.output.terminal import show_table
-from jexplore.config import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -56,9 +54,6 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOp
     random)."""
     episodes: int = dataclasses.field(default_factory=default_episodes)
     """Number of episodes of each strategy in each world."""
-    until: UntilText = None
-    """Stop in a world as soon as every strategy is known to drive less or more than the first, or about as much
-    (decided): --episodes is then the most. Intervals that hold although one looks again and again."""
     seed: int = 0
     """Draw starts and all that is random from this seed."""
     robots: IntegerList = None
@@ -79,8 +74,6 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOp
     tuned: TunedFile = None
     """Give strategies the settings that `jexplore tune` wrote into this file; shipped: the file that comes with the
     package."""
-    waste: bool = False
-    """Also say where path is wasted: what shows nothing new, and visits to leftovers; keeps every way."""
     bounds: bool = False
     """Also find the shortest path of a robot that knows the map from each start, as `jexplore bound` does, and compare
     every path with it; writes bounds.parquet."""
@@ -93,7 +86,6 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOp
         from jexplore.studies.checks import prepare_jobs
         from jexplore.studies.results.saving import figures_of
         from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds
-        from jexplore.studies.statistics.sequential import require_until
 
         worlds, strategies = (
             (league_worlds(self.cell_m, self.league_seeds), LEAGUE_STRATEGIES)
@@ -107,13 +99,6 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOp
 
             strategies = with_settings(strategies, self.tuned)
         self = dataclasses.replace(self, worlds=worlds, strategies=strategies)
-        require_until(self.until)
-        if self.until and self.bounds:
-            raise InputError("bounds are of all starts: leave out --until or --bounds")
-        if self.robots and self.waste:
-            raise InputError("--waste is of one robot: leave out --robots")
-        if self.waste:
-            self.rules.require_lattice("waste is")
         with Out(self, "compare") as out:
             jobs = prepare_jobs(
                 worlds,
@@ -130,8 +115,7 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOp
             with note_if_slow(FINISHING):
                 entries = {"standings": found.standings.to_dict("records")} if self.league else {}
                 record = functools.partial(out.record, arguments, self, **entries)
-                asked = len(found.episodes) + found.spared
-                text = _text(found, self.league, asked if self.until else None)
+                text = found.league_text() if self.league else found.to_markdown()
             found, files, is_whole = self._beside(found, tasks, out)
             text += _more_tables(found.episodes, self.league)
             figures = figures_of(found, league=self.league)
@@ -148,12 +132,10 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOp
         return bound_tasks(pairs, self.lidar, self.rules, self.bound_seconds)
 
     def _beside(self, found, tasks, out):
-        """Complete a comparison and its files by waste and bounds; the last is False after an interruption."""
+        """Complete a comparison and its files by bounds; the last is False after an interruption."""
         from jexplore.studies.bounds.bound import run_bounds
 
         files, is_whole = {}, not found.interrupted
-        if self.waste:
-            found = dataclasses.replace(found, episodes=found.wasted)
         if tasks and is_whole:
             try:
                 with working(len(tasks), "starts") as on_progress:
@@ -167,35 +149,21 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOp
         return found, files, is_whole
 
 
-def _text(found, league, asked):
-    """Format the tables of a comparison; `asked`: most episodes, None where none are spared."""
-    from jexplore.studies.statistics.sequential import decisions_text
-
-    text = found.league_text() if league else found.to_markdown()
-    return text if asked is None else text + decisions_text(found.episodes, asked)
-
-
 def _more_tables(episodes, league):
-    """Format tables of waste or bounds, if episodes have their columns: text; a league's by strategy."""
+    """Format the table of bounds, if episodes have their columns: text; a league's by strategy."""
     from jexplore.studies.bounds import beside
-    from jexplore.studies.results.columns import RATIO_COLUMNS, WASTE_COLUMNS
-    from jexplore.studies.statistics import waste
+    from jexplore.studies.results.columns import RATIO_COLUMNS
 
-    text, by = "", ["strategy"] if league else ["world", "strategy"]
-    if WASTE_COLUMNS[0] in episodes:
-        text += f"\nWhere path is wasted:\n\n{waste.waste_table(episodes, by)}"
-    if RATIO_COLUMNS[0] in episodes:
-        text += f"\nCompared with the shortest walks of one that knows the map:\n\n{beside.beside_table(episodes, by)}"
-    return text
+    if RATIO_COLUMNS[0] not in episodes:
+        return ""
+    table = beside.beside_table(episodes, ["strategy"] if league else ["world", "strategy"])
+    return f"\nCompared with the shortest walks of one that knows the map:\n\n{table}"
 
 
 def _tables(found, record):
     """Format the tables of a comparison that has been finished before."""
-    configuration, episodes = record["configuration"], found.episodes
-    league = configuration.get("league")
-    asked = configuration["episodes"] * len(set(episodes["world"])) * len(set(episodes["strategy"]))
-    text = _text(found, league, asked if configuration.get("until") else None)
-    return text + _more_tables(episodes, league)
+    league = record["configuration"].get("league")
+    return (found.league_text() if league else found.to_markdown()) + _more_tables(found.episodes, league)
 
 
 def run_with_bar(
@@ -207,13 +175,12 @@ def run_with_bar(
     """
     from jexplore.studies.results import comparison, provenance, units
 
-    how = {"keep": "paths" if getattr(options, "waste", False) else None, "until": getattr(options, "until", None)}
-    asked = provenance.asked(jobs, **how)
+    asked = provenance.asked(jobs)
     asked |= {"bound_seconds": starts[0].seconds if starts else None} if hasattr(options, "bounds") else {}
     ledger = out.keep(asked, lambda n: len(units.cut_jobs(jobs, n)) + len(starts))
     if ledger is None:
         return None
-    how |= {"ledger": ledger, **fields_of(options, "engine lanes workers")}
+    how = {"ledger": ledger, **fields_of(options, "engine lanes workers")}
     with working(sum(len(job.starts) for job in jobs), "episodes") as on_progress:
         return comparison.run_comparison(jobs, **how, on_progress=on_progress)
 

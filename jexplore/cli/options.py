@@ -56,7 +56,6 @@ MetricNames = Annotated[
 OneWorld = Annotated[str, tyro.conf.arg(metavar="WORLD")]
 OneStrategy = Annotated[str, tyro.conf.arg(metavar="STRATEGY")]
 OwnModel = Annotated[str | None, tyro.conf.arg(metavar="MODEL", help_behavior_hint="(default: closest)")]
-UntilText = Annotated[str | None, tyro.conf.arg(metavar="decided", help_behavior_hint="")]
 ContactText = Annotated[str, tyro.conf.arg(metavar="CONTACT")]
 MemberTexts = Annotated[tuple[str, ...], tyro.conf.arg(metavar="ROBOT [ROBOT ...]", help_behavior_hint="")]
 StartsText = Annotated[tuple[str, ...], tyro.conf.arg(metavar="START [START ...]", help_behavior_hint="")]

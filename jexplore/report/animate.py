@@ -1,4 +1,4 @@
-"""Animations: an episode as a GIF or MP4, frame by frame, in pixels and one palette."""
+"""Animations: an episode as a GIF, frame by frame, in pixels and one palette."""
 
 import math
 import os
@@ -7,8 +7,6 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.animation import FFMpegWriter
-from matplotlib.figure import Figure
 from PIL import Image, ImageDraw, ImageFont
 
 from jexplore.config import InputError
@@ -124,16 +122,16 @@ def _draw_legend(image, draw, top):
 def save_animation(
     frames: Iterable[Mapping[str, Any]], path: str | os.PathLike[str], *, cell_m: float, fps: float = 12
 ) -> None:
-    """Write an episode as an animation in the format of the file's ending, whole or not at all: a GIF, or MP4.
+    """Write an episode as a GIF, whole or not at all.
 
-    A GIF loops. All frames share one palette, so colours do not flicker. The last frame is held for two seconds.
+    It loops. All frames share one palette, so colours do not flicker. The last frame is held for two seconds.
 
     Args:
       frames: iterable of one or more dicts: `state` `[H, W]` uint8; `frontier` `[H, W]` bool; `row`, `col`,
         `heading_deg` of the robot; `target`, a `(row, col)` or None; `rows`, `cols` `[N]`, cells driven; `caption`,
         text; of a team `others`, dicts of its other robots with the robot's entries. A frame is drawn before the next
         one is asked for.
-      path: the file; without an ending it is a GIF. MP4 is written by the program ffmpeg.
+      path: the file, with the ending .gif or none.
       cell_m: edge of a cell, metres.
       fps: frames a second, above 0 and at most 50.
 
@@ -142,29 +140,13 @@ def save_animation(
     """
     if not 0 < fps <= 50:
         raise ValueError(f"expected 0 < fps <= 50, got {fps!r}")
-    ending = os.path.splitext(path)[1].lower() or ".gif"
-    if ending not in (".gif", ".mp4"):
-        raise InputError(f"{path} must end in .gif or .mp4, got {ending}")
-    if ending == ".mp4" and not FFMpegWriter.isAvailable():
-        raise InputError(f"{path} needs the program ffmpeg, which is not on the path; .gif needs none")
+    ending = os.path.splitext(path)[1].lower()
+    if ending not in (".gif", ""):
+        raise InputError(f"{path} must end in .gif, got {ending}")
     images = [frame_image(frame, cell_m=cell_m) for frame in frames]
     if not images:
         raise ValueError("expected one or more frames, got none")
-    with atomic(path) as part:
-        (_write_gif if ending == ".gif" else _write_mp4)(images, part, fps)
-
-
-def _write_gif(images, path, fps):
-    durations = [round(100 / fps) * 10] * (len(images) - 1) + [round(1000 * _HOLD_S)]
     first, *rest = images
-    first.save(path, format="GIF", save_all=True, append_images=rest, duration=durations, loop=0, optimize=False)
-
-
-def _write_mp4(images, path, fps):
-    width, height = (size + size % 2 for size in images[0].size)  # H.264 takes even sizes only
-    page, writer = Figure(figsize=(width / 100, height / 100), dpi=100), FFMpegWriter(fps, extra_args=["-f", "mp4"])
-    with writer.saving(page, str(path), 100):
-        for image in [*images, *images[-1:] * round(_HOLD_S * fps)]:
-            page.images.clear()
-            page.figimage(np.asarray(image.convert("RGB")), 0, height - image.height)
-            writer.grab_frame()
+    durations = [round(100 / fps) * 10] * len(rest) + [round(1000 * _HOLD_S)]
+    with atomic(path) as part:
+        first.save(part, format="GIF", save_all=True, append_images=rest, duration=durations, loop=0, optimize=False)

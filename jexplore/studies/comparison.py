@@ -19,7 +19,6 @@ from jexplore.studies.results import loading, provenance, saving
 from jexplore.studies.results.comparison import ComparisonResult, run_comparison
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.units import cut_jobs
-from jexplore.studies.statistics.sequential import require_until
 from jexplore.worlds.restrict import KnownMap, Polygon
 
 
@@ -34,7 +33,7 @@ def compare(
     coordination: CoordinationLike = "independent", contact: str = "all", team_starts: Starts = "together",
     members: str | Sequence[str] = (), engine: str = "auto", lanes: int | None = None, workers: int | None = None,
     on_progress: Callable[[int], object] | None = None, progress: bool | None = None, keep: str | None = None,
-    metrics: MetricsLike = None, until: str | None = None, out: str | os.PathLike[str] | None = None,
+    metrics: MetricsLike = None, out: str | os.PathLike[str] | None = None,
     overwrite: bool = False, resume: bool = False, trust: bool = False,
 ) -> ComparisonResult:  # fmt: skip
     """Run every strategy in every world, from the same starts. An interruption keeps finished units.
@@ -60,8 +59,6 @@ def compare(
       on_progress, progress: called with the number of episodes finished; whether a bar shows it, as in notebooks.
       keep: "paths" for the way of every episode, 12 bytes a step, "maps" for its last map as well, a byte a cell.
       metrics: columns of your own: name -> function of an `EpisodeView`, see `metric`, or "module:function".
-      until: "decided": a world gets episodes, at most as many as asked for, until every strategy is known to drive
-        less or more than the first, or about as much. `ComparisonResult.decisions` has intervals that still hold.
       out: folder to write, see `ComparisonResult.save`. Finished episodes are stored on the way.
       overwrite, resume: replace a run in the folder; continue it, if there is any.
       trust: when continuing, take your own strategies and metrics as unchanged even if that cannot be checked.
@@ -77,8 +74,8 @@ def compare(
     more = {"metrics": metrics, "pose": pose, "odometry": odometry, "members": members}
     jobs = checks.prepare_jobs(worlds, strategies, **settings, **limits, **own, **team, **more)
     settings |= limits | {"from_map": _plainly(from_map)} | {name: getattr(jobs[0], name) for name in own}
-    _require_setup(keep, until, out, overwrite, resume, robots)
-    how = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep, "until": until}
+    _require_setup(keep, out, overwrite, resume, robots)
+    how = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep}
     with progress_bar(progress, sum(len(job.starts) for job in jobs), "episodes", on_progress) as moved:
         run = functools.partial(_run, jobs, settings, how, moved)
         return run() if out is None else _run_in_folder(run, jobs, how, out, overwrite, resume, trust)
@@ -102,13 +99,10 @@ def _plainly(from_map: KnownMap | None) -> object:
     return from_map if from_map is None or isinstance(from_map, (str, os.PathLike)) else type(from_map).__name__
 
 
-def _require_setup(
-    keep: str | None, until: str | None, out: object, overwrite: bool, resume: bool, robots: object
-) -> None:
+def _require_setup(keep: str | None, out: object, overwrite: bool, resume: bool, robots: object) -> None:
     """Refuse what does not go together."""
     if keep is not None and robots is not None:
         raise InputError("ways and maps are kept of one robot: leave out keep or robots")
-    require_until(until)
     if keep is not None and keep not in tuple(RECORDS):
         raise InputError(f"keep must be None, {' or '.join(RECORDS)}, got {keep!r}")
     if overwrite and resume:
@@ -119,7 +113,7 @@ def _require_setup(
 
 def _asked(jobs: Sequence[Job], how: Mapping[str, Any]) -> dict[str, Any]:
     """Return all that results depend on, for a ledger."""
-    return {"command": "compare", **provenance.asked(jobs, how["keep"], how["until"]), "bound_seconds": None}
+    return {"command": "compare", **provenance.asked(jobs, how["keep"]), "bound_seconds": None}
 
 
 def _run(

@@ -143,10 +143,10 @@ class EpisodeResult:
         self, path: str | os.PathLike[str], *, max_frames: int = MAX_FRAMES, fps: int = 12,
         on_progress: Callable[[int], object] | None = None,
     ) -> None:  # fmt: skip
-        """Write the episode as an animation, GIF or MP4 by the file's ending: known map, frontiers, target, path.
+        """Write the episode as an animated GIF: known map, frontiers, target, path.
 
         Args:
-          path: the file; MP4 is written by the program ffmpeg.
+          path: the file.
           max_frames: of more steps, that many are shown, evenly spaced, the last among them.
           fps: frames a second.
           on_progress: called with 1 for each frame drawn.

@@ -7,13 +7,13 @@ from typing import Any, TypeAlias
 from jexplore.config import InputError, require_different, shown
 from jexplore.exploration.metrics import Metric
 from jexplore.exploration.uncertain.measures import MEASURES
-from jexplore.studies.results.columns import COLUMNS, RATIO_COLUMNS, SUMMARY_COLUMNS, TEAM_COLUMNS, WASTE_COLUMNS
+from jexplore.studies.results.columns import COLUMNS, RATIO_COLUMNS, SUMMARY_COLUMNS, TEAM_COLUMNS
 from jexplore.users import described, import_object
 
 MetricsLike: TypeAlias = Mapping[str, Any] | Iterable[str] | None
 """Metrics by name: functions of an `EpisodeView`, `metric`s or "module:function"; or texts, "name=module:function"."""
 TAKEN = {
-    *(*COLUMNS, *SUMMARY_COLUMNS, *RATIO_COLUMNS, *WASTE_COLUMNS, *TEAM_COLUMNS, *MEASURES),
+    *(*COLUMNS, *SUMMARY_COLUMNS, *RATIO_COLUMNS, *TEAM_COLUMNS, *MEASURES),
     *("setting", "cell_m", "complete", "percent", "progress_m", "step", "way_row", "way_col", "way_known"),
     *("map", "row", "col", "valid", "known_m2"),
 }

@@ -13,14 +13,13 @@ from jexplore.cli.options import (
     ContactText,
     EngineName,
     Number,
-    OneStrategy,
     OneWorld,
     ResumeOptions,
     StartsText,
     fields_of,
     given_of,
 )
-from jexplore.cli.output.console import COMPILING, Out, note_if_slow, say, working
+from jexplore.cli.output.console import Out, say, working
 from jexplore.cli.tracemaps.files import exchanged
 from jexplore.cli.tracemaps.team import trace_robots
 from jexplore.config import InputError
@@ -84,13 +83,6 @@ class Trace(ResumeOptions):
     met again is spread over the links (frame map)."""
     animate: bool = False
     """Also write btm.html, one file that replays without a network what the operator sees of run 0."""
-    from_episode: bool = False
-    """Instead of driving so, run an exploration episode and read the map off what it has seen (Voronoi graph)."""
-    strategy: OneStrategy = "closest+recheck"
-    """Let the episode of --from-episode use this strategy."""
-    clutter_m: float = 1.0
-    """Let --from-episode look through obstacles in the open whose bounding box has a diagonal shorter than this, in
-    metres, such as legs of tables."""
     robots: Number = None
     """Let this number of robots, 1 to 16, drive at the same time, and merge their maps whenever two are in contact."""
     contact: ContactText = "all"
@@ -111,20 +103,14 @@ class Trace(ResumeOptions):
         from jexplore.studies.traces import tracing
         from jexplore.studies.traces.job import prepare_trace
 
-        for names, asked, option in (
-            (("strategy", "clutter_m"), self.from_episode, "--from-episode"),
-            (("contact", "team_starts", "limits"), self.robots is not None, "--robots"),
-        ):
-            for given in [] if asked else given_of(self, names):
-                raise InputError(f"{given} goes with {option}")
+        for given in given_of(self, ("contact", "team_starts", "limits")) if self.robots is None else []:
+            raise InputError(f"{given} goes with --robots")
         if self.noise_m is not None and self.noise.range_m not in (type(self)().noise.range_m, self.noise_m):
             raise InputError("--noise-m and --noise.range-m say the same: give one of them")
         with Out(self, "trace") as out:
-            if self.from_episode:
-                return _trace_episode(out, self, arguments)
             if self.robots is not None:
-                others = "runs starts sweep settings corrected animate resume"
-                _refuse(self, others.split(), "--robots", "every robot makes one run")
+                for given in given_of(self, ["runs", "starts", "sweep", "settings", "corrected", "animate", "resume"]):
+                    raise InputError(f"--robots takes no {given}: every robot makes one run")
                 return trace_robots(out, self, arguments)
             own = fields_of(
                 self, "robot runs starts seed tuning start sweep settings cell_m max_steps nodes links perception"
@@ -208,25 +194,3 @@ def _draw(found, first):
         f"{plan.robot.name} in {plan.world.name}",
         pitch_deg=track.pitch * (180 / math.pi),
     )
-
-
-def _refuse(options, names, given, why):
-    """Refuse options, by their fields, that do not go with a given one."""
-    for option in given_of(options, names):
-        raise InputError(f"{given} takes no {option}: {why}")
-
-
-def _trace_episode(out, options, arguments):
-    """Extract a map from the grid of an exploration episode."""
-    from jexplore.report import trace_tables
-    from jexplore.studies.traces import extraction
-
-    own = {"world", "strategy", "seed", "cell_m", "clutter_m", "tuning", "out", "overwrite", "from_episode"}
-    others = [field.name for field in dataclasses.fields(options) if field.name not in own]
-    _refuse(options, others, "--from-episode", "an episode's robot is that of `jexplore explore`")
-    with note_if_slow(COMPILING):
-        own = fields_of(options, "seed cell_m clutter_m tuning")
-        found = extraction.extracted(options.world, options.strategy, **own)
-    text = trace_tables.map_tables(found.map) + "\n" + "\n".join(found.agreement())
-    record = out.record(arguments, options, result=found.measures, agreement=found.agreement())
-    return out.finish(record, exchanged(found.map), text, {"btm.png": found.figure})

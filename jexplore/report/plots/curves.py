@@ -1,4 +1,4 @@
-"""Curves: the explored share along the path, performance profiles, and training."""
+"""Curves: the explored share along the path, and training."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -18,7 +18,6 @@ from jexplore.report.plots.looks import (
     panels,
     panels_page,
     plain_axes,
-    ratio_scale,
 )
 
 TRAINED, CHECKED = "#9ecae1", "#d55e00"
@@ -76,39 +75,6 @@ def coverage_curves_figure(
         plain_axes(ax, grid="both")
     shown = [name for name in strategies if name in lines]
     legend_below(page, [lines[name] for name in shown], shown)
-    return page
-
-
-def draw_profile(ax: Axes, ratio: Any, share: Any, low: Any, high: Any, look: Mapping[str, Any], *,
-                 band: float = 0.18) -> Line2D:  # fmt: skip
-    """Draw one strategy's performance profile with its band; a NaN has none."""
-    low, high = (np.asarray(part, np.float64) for part in (low, high))
-    if np.isfinite(low).any():
-        ax.fill_between(ratio, 100 * low, 100 * high, step="post", color=look["color"], alpha=band, linewidth=0)
-    style = {"color": look["color"], "linestyle": look["linestyle"], "linewidth": 1.5}
-    marks = {"marker": look["marker"], "markevery": (10, 20), "ms": 4.5, "mec": "white", "mew": 0.4}
-    (line,) = ax.plot(ratio, 100 * np.asarray(share, np.float64), drawstyle="steps-post", **style, **marks)
-    return line
-
-
-def profile_curves_figure(table: Any, *, over: str = "best") -> Figure:
-    """Draw performance profiles: the share of starts whose path is at most a multiple of the reference's.
-
-    `table` is from `aggregate.profiles`; `over` is the denominator of the ratios, for the label: "best" or "first".
-    """
-    page = Figure(figsize=(6.4, 3.8), layout="constrained")
-    ax: Any = page.subplots()
-    looks, lines = looks_of(dict.fromkeys(table["strategy"])), {}
-    for name, rows in table.groupby("strategy", sort=False):
-        ratio, share, low, high = (rows[key].to_numpy() for key in ("ratio", "share", "low", "high"))
-        lines[name] = draw_profile(ax, ratio, share, low, high, looks[name], band=band_of(len(looks)))
-    least, most = float(table["ratio"].min()), float(table["ratio"].max())
-    ratio_scale(ax, "x", least, max(most, 1.05 * least))
-    by = "the shortest one" if over == "best" else f"that of {wrapped_text(table['strategy'].iloc[0], 60, max_lines=1)}"
-    ax.set(ylim=(-1, 101), xlabel=f"path length over {by} from the same start")
-    ax.set_ylabel("starts with at most that ratio (%)")
-    plain_axes(ax, grid="both")
-    legend_below(page, list(lines.values()), list(lines))
     return page
 
 

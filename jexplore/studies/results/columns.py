@@ -23,6 +23,3 @@ TEAM_COLUMNS = (*TEAM_MEASURES, "coordination", "contact")
 """Columns that tables of teams have besides `COLUMNS`."""
 RATIO_COLUMNS = ("path_over_high", "path_over_low_any")
 """Columns of ratios of the path: to the walk that was found, and to the lower bound of every robot."""
-WASTE_COLUMNS = ("idle_m", "leftovers", "leftover_m", "leftover_m2")
-"""Columns of `waste.wasted`: metres that show nothing new; visits to leftovers, the metres of their transits and
-visits, and the area that they show."""

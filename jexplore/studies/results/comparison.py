@@ -26,7 +26,7 @@ from jexplore.studies.results.columns import TEAM_MEASURES
 from jexplore.studies.results.details import EXTRAS, Seen, parts_of
 from jexplore.studies.results.tables import ByStrategy
 from jexplore.studies.results.units import Ran, run_units
-from jexplore.studies.statistics import by_world, figures, sequential, sizes, teams, waste
+from jexplore.studies.statistics import by_world, figures, teams
 from jexplore.studies.statistics.coverage import at_coverage, coverage_text
 from jexplore.studies.statistics.league import over_worlds_text, standings, standings_table
 from jexplore.studies.statistics.paired import MIN_PAIRS
@@ -66,8 +66,6 @@ class ComparisonResult(ByStrategy):
     """Episodes that are missing because the run was interrupted; of the others, those that every strategy finished."""
     resumed: int = 0
     """Episodes that an earlier run had finished, with which this one went on."""
-    spared: int = 0
-    """Episodes that were not needed, with `until="decided"`."""
     progress: dict[tuple[str, str], np.ndarray] = dataclasses.field(default_factory=dict)
     """(world, strategy) -> `[N, 100]` float64: metres driven when each episode in the table first knew 1, 2, ... 100 %
     of the cells that can be known in its world; NaN where it never did."""
@@ -97,12 +95,6 @@ class ComparisonResult(ByStrategy):
         return standings(self.episodes)
 
     @functools.cached_property
-    def decisions(self) -> pd.DataFrame:
-        """Tabulate ratios with intervals that hold whenever one stops, one row a world and strategy: see
-        `sequential.decisions`."""
-        return sequential.decisions(self.episodes)
-
-    @functools.cached_property
     def teams(self) -> pd.DataFrame:
         """Tabulate how much faster teams are than one robot, with `robots`: see `teams.tabulate`."""
         return teams.tabulate(self.episodes)
@@ -111,11 +103,6 @@ class ComparisonResult(ByStrategy):
     def at_coverage(self) -> pd.DataFrame:
         """Tabulate ratios of paths and times to shares of a world: see `coverage.at_coverage`."""
         return at_coverage(self.episodes)
-
-    @functools.cached_property
-    def wasted(self) -> pd.DataFrame:
-        """Add the wasted part of each path to the table of episodes, with `keep="paths"`: see `waste.wasted`."""
-        return waste.wasted(self.episodes, self.paths, {world.name: world.cell_m for world in self.worlds})
 
     @functools.cached_property
     def warnings(self) -> list[str]:
@@ -141,20 +128,6 @@ class ComparisonResult(ByStrategy):
         """Format the statistics over all worlds, and ratios at equal coverage, as Markdown tables."""
         return f"{standings_table(self.standings)}\n{coverage_text(self.at_coverage)}"
 
-    def save_maps(self, folder: str | os.PathLike[str]) -> list[Path]:
-        """Write the last map of every episode as files of ROS's map_server, with `keep="maps"`; return the yaml files.
-
-        They are named world-strategy-episode.yaml, with a picture each: of a world's path as much as tells it from the
-        others. `jx.load_world` reads them, and their cells are those of the maps.
-        """
-        if not self.maps:
-            raise InputError('no maps were kept: compare(..., keep="maps")')
-        return saving.write_maps(self, Path(folder))
-
-    def sample_sizes(self, *, within: float = 0.02, assurance: float = 0.8) -> pd.DataFrame:
-        """Compute the episodes and worlds needed to know every ratio `± within`: see `sizes.sample_sizes`."""
-        return sizes.sample_sizes(self.episodes, within=within, assurance=assurance)
-
     def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False, report: bool = True) -> Path:
         """Write the folder that `jexplore compare` writes: tables, pictures, run.json, report.html; return its path.
 
@@ -162,7 +135,9 @@ class ComparisonResult(ByStrategy):
         `overwrite` replaces a run that is there. The `report` of a comparison that was loaded has no replays.
         """
         if "command" not in self.made.record:
-            raise InputError("only what jx.compare or jx.load returned can be saved; to_csv() writes the table alone")
+            raise InputError(
+                "only what jx.compare or jx.load returned can be saved: episodes.to_csv() writes the table"
+            )
         with saving.claimed_by_call(folder, overwrite=overwrite) as run:
             return saving.write_comparison(run, self, report=report)
 
@@ -187,10 +162,6 @@ class ComparisonResult(ByStrategy):
     def coverage_figure(self) -> Figure:
         """Draw the known part of the knowable share along the path, a panel a world: see `figures.coverage_figure`."""
         return figures.coverage_figure(self.progress)
-
-    def profile_figure(self, *, over: str = "best") -> Figure:
-        """Draw performance profiles of the strategies: see `figures.profile_figure`."""
-        return figures.profile_figure(self.episodes, over=over)
 
     def paths_figure(self) -> Figure:
         """Draw the map as each strategy saw it in episode 0, with its path: a matplotlib `Figure`."""
@@ -276,16 +247,13 @@ def assemble(jobs: Sequence[Job], ran: Ran) -> ComparisonResult:
         raise KeyboardInterrupt
     worlds = {os.fspath(job.world.name): job.world for job in jobs}
     costs = ran.costs
-    missing = sum(len(job.starts) for job in jobs) - len(table)
-    spared = 0 if ran.costs.interrupted or not ran.settled else missing
     return ComparisonResult(
         table.drop(columns=[name for name in EXTRAS if name in table]).reset_index(drop=True),
         tuple(worlds[name] for name in dict.fromkeys(table["world"])),
         compile_s=costs.compile_s,
         run_s=costs.run_s,
-        interrupted=missing - spared,
+        interrupted=sum(len(job.starts) for job in jobs) - len(table),
         resumed=ran.resumed,
-        spared=spared,
         **parts_of(table),
         lidar=jobs[0].lidar,
         rules=jobs[0].rules,
@@ -294,12 +262,11 @@ def assemble(jobs: Sequence[Job], ran: Ran) -> ComparisonResult:
     )
 
 
-def run_comparison(jobs: Sequence[Job], *, until: str | None = None, **how: Any) -> ComparisonResult:
-    """Run jobs; `how` as of `run_units`. `until`: "decided", see `compare`.
+def run_comparison(jobs: Sequence[Job], **how: Any) -> ComparisonResult:
+    """Run jobs; `how` as of `run_units`.
 
     Raises:
       KeyboardInterrupt: no episode has been finished by every strategy.
     """
     use_compilation_cache()
-    names = list(dict.fromkeys(job.strategy.name for job in jobs))
-    return assemble(jobs, run_units(jobs, settled=sequential.decided_worlds(names) if until else None, **how))
+    return assemble(jobs, run_units(jobs, **how))

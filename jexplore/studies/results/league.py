@@ -111,7 +111,7 @@ def _require_same(run, league, asked):
     if "teams" in asked or asked.get("from_map"):
         raise InputError(f"{run}: the league is of one robot that begins without a map")
     records = {"lidar": Lidar(), "rules": Rules(), "robot": Robot()}
-    wanted = {"episodes": 1, "seed": 0, "until": None, **{k: dataclasses.asdict(own) for k, own in records.items()}}
+    wanted = {"episodes": 1, "seed": 0, **{k: dataclasses.asdict(own) for k, own in records.items()}}
     for key, value in wanted.items():
         got = asked.get(key)
         if json.loads(json.dumps(value)) != got:

@@ -57,7 +57,7 @@ def _load(folder, record):
     for name in ("runs.parquet", "scores.parquet", "bounds.parquet"):
         if (folder / name).is_file():
             return store.read_parquet(folder / name)
-    for name, entry in (("explore", "result"), ("trace", "result"), ("worlds", "worlds")):
+    for name, entry in (("explore", "result"), ("worlds", "worlds")):
         if command == name and entry in record:
             found = record[entry]
             return pd.DataFrame(found if isinstance(found, list) else [found])

@@ -92,10 +92,10 @@ def own_digests(jobs: Iterable[Job]) -> dict[str, str | None]:
     return {name: None if None in own else hashlib.sha256(repr(own).encode()).hexdigest() for name, own in told.items()}
 
 
-def asked(jobs: Sequence[Job], keep: str | None = None, until: str | None = None) -> dict[str, Any]:
+def asked(jobs: Sequence[Job], keep: str | None = None) -> dict[str, Any]:
     """Return all that the results of some jobs depend on, as plain values: equal ones mean equal units.
 
-    The jobs have one number of episodes, one seed, one scanner and the same rules. `keep` and `until` as of `compare`.
+    The jobs have one number of episodes, one seed, one scanner and the same rules. `keep` as of `compare`.
     """
     worlds, first = {os.fspath(job.world.name): job.world for job in jobs}, jobs[0]
     measured = {name: metric.reduce or "end" for name, metric in first.metrics.items()}
@@ -115,7 +115,7 @@ def asked(jobs: Sequence[Job], keep: str | None = None, until: str | None = None
         "digests": {name: world_digest(world) for name, world in worlds.items()},
         "own": own_digests(jobs),
         **({"metrics": measured} if measured else {}),
-        **{name: own for name, own in (("teams", teams), ("keep", keep), ("until", until)) if own},
+        **{name: own for name, own in (("teams", teams), ("keep", keep)) if own},
     }
 
 

@@ -13,7 +13,6 @@ from typing import Any
 from jexplore.arrays.files import first_line
 from jexplore.config import InputError, InputWarning
 from jexplore.exploration.batch import Job, Outcomes
-from jexplore.exploration.results import to_occupancy
 from jexplore.report import folders, store
 from jexplore.report.page.report import write_report
 from jexplore.report.plots.standings import league_figure
@@ -25,23 +24,6 @@ from jexplore.studies.statistics.by_world import markdown_table
 from jexplore.studies.statistics.coverage import coverage_tables
 from jexplore.studies.statistics.league import standings_table
 from jexplore.studies.statistics.paired import MIN_PAIRS
-from jexplore.worlds.names import file_names, short_names
-from jexplore.worlds.readers.ros import write_ros
-
-
-def write_maps(found: Any, folder: Path) -> list[Path]:
-    """Write the maps of a result as yaml files with a picture each: `ComparisonResult.save_maps`."""
-    short = dict(zip([world.name for world in found.worlds], short_names([world.name for world in found.worlds])))
-    of_name, texts, made = {world.name: world for world in found.worlds}, [], []
-    for (world, strategy), states in found.maps.items():
-        own = found.episodes[(found.episodes["world"] == world) & (found.episodes["strategy"] == strategy)]
-        texts += [f"{short[world]}-{strategy}-{number}" for number in own["episode"]]
-        made += [(of_name[world], state) for state in states]
-    folder.mkdir(parents=True, exist_ok=True)
-    files = [folder / f"{name}.yaml" for name in file_names(texts)]
-    for file, (world, state) in zip(files, made):
-        write_ros(to_occupancy(state), file, cell_m=world.cell_m, origin_m=world.origin_m)
-    return files
 
 
 def figures_of(found: Any, *, league: bool = False) -> dict[str, Callable[[], Any]]:

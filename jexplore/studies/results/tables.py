@@ -1,14 +1,11 @@
-"""Common code of results of several strategies: their episodes by strategy, and tables as text and files."""
+"""Common code of results of several strategies: their episodes by strategy."""
 
-import os
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from jexplore.config import checked_names, unknown
-from jexplore.report import store
 
 
 @checked_names
@@ -42,12 +39,3 @@ class ByStrategy:
     def to_pandas(self) -> pd.DataFrame:
         """Return the table of episodes."""
         return self.episodes
-
-    def to_csv(self, path: str | os.PathLike[str] | None = None) -> str | None:
-        """Format the table of episodes as comma-separated values: the text, or None if it is written to a path."""
-        text = self.episodes.to_csv(index=False)
-        if path is None:
-            return text
-        with store.atomic(Path(os.path.expanduser(path))) as part:
-            part.write_text(text, encoding="utf-8")
-        return None

@@ -1,7 +1,6 @@
 """Units of work: some episodes, run and kept together; and the tables that are made of them."""
 
 import collections
-import itertools
 import os
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -146,16 +145,14 @@ class Ran(NamedTuple):
     costs: Costs
     resumed: int  # episodes that were there before
     firsts: dict[int, Outcomes]  # number of a job, one of the first -> what its first unit left, if that was run here
-    settled: bool = False  # whether units may have been left out because enough was known
 
 
 def run_units(
     jobs: Sequence[Job], *, ledger: Ledger | None = None, on_progress: Callable[[int], object] | None = None,
-    settled: Callable[[list[pd.DataFrame]], set[str]] | None = None, **how: Any,
+    **how: Any,
 ) -> Ran:  # fmt: skip
     """Run every episode of every job, with its scanner and rules, that the ledger does not have.
 
-    `settled` is asked after each phase with all units made: it names the worlds that need no more episodes.
     `on_progress` and `how` are as of `make_units`. After Ctrl-C the result holds the units that had been finished.
 
     Raises:
@@ -176,20 +173,10 @@ def run_units(
             firsts[unit.job] = found
         return unit_table(job, found)
 
-    def phases(left):
-        if settled is None:
-            yield left
-            return
-        for _, own in itertools.groupby(left, lambda number: units[number].phase):
-            over = settled([*earlier, *work.results])
-            part = [number for number in own if os.fspath(jobs[units[number].job].world.name) not in over]
-            if part:
-                yield part
-
-    costs = make_units(work, jobs_of, table_of, windows=phases, resumed=resumed, on_progress=on_progress, **how)
+    costs = make_units(work, jobs_of, table_of, resumed=resumed, on_progress=on_progress, **how)
     if not work.done:  # a shorter run stays as it is
         raise KeyboardInterrupt
-    return Ran([*earlier, *work.results], costs, resumed, firsts, settled is not None)
+    return Ran([*earlier, *work.results], costs, resumed, firsts)
 
 
 def _earlier(ledger, jobs):

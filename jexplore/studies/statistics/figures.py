@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 from jexplore.config import InputError
 from jexplore.report.plots import compare, curves, sweeps
 from jexplore.report.plots.compare import ComparisonPanel, Estimates
-from jexplore.studies.statistics.aggregate import profiles
 from jexplore.studies.statistics.by_world import DONE, summarise
 from jexplore.studies.statistics.league import paths_by_world, standings
 from jexplore.studies.statistics.over_worlds import ALL_WORLDS
@@ -122,14 +121,6 @@ def league_coverage_figure(
     found = {name: np.concatenate(own) for name, own in parts.items() if own}
     title = f"over {episodes['world'].nunique()} worlds: medians over all starts, and quartiles"
     return curves.coverage_curves_figure([(title, found)], label=f"path length over the whole one of {reference}")
-
-
-def profile_figure(episodes: pd.DataFrame, *, over: str = "best") -> Figure:
-    """Draw performance profiles of a comparison's strategies: see `aggregate.profiles`."""
-    table = profiles(episodes, over=over)
-    if not len(table):
-        raise InputError("episodes must have a start that every strategy has, got none")
-    return curves.profile_curves_figure(table, over=over)
 
 
 def response_figure(episodes: pd.DataFrame, setting: str, *, over_worlds: bool | None = None) -> Figure:

@@ -8,9 +8,14 @@ import pandas as pd
 
 from jexplore.config import require_whole
 from jexplore.report.tables import aligned_table, number_text, p_text, ratio_text
-from jexplore.studies.statistics.aggregate import aggregates
 from jexplore.studies.statistics.by_world import DONE
-from jexplore.studies.statistics.over_worlds import comparable_paths, kind_of, mean_over_worlds, ratio_over_worlds
+from jexplore.studies.statistics.over_worlds import (
+    comparable_paths,
+    kind_of,
+    mean_over_worlds,
+    ratio_over_worlds,
+    share_over_worlds,
+)
 from jexplore.studies.statistics.paired import holm
 from jexplore.worlds.bounds import FURNISHED_CELL_M
 
@@ -23,11 +28,9 @@ FURNISHED = (
     "rooms#{}:furniture=1,wide_openings=0.1,max_loops=5,room_m=3.6",
 )
 """Furnished buildings, in numbers like real ones (`jexplore worlds --geometry`); the braces are for a seed."""
-_AGGREGATES = ("shorter", "shorter_low", "shorter_high", "iqm", "iqm_low", "iqm_high")
 STANDINGS = (
     *("strategy", "worlds", "paired", "ratio", "ratio_low", "ratio_high", "p", "p_holm"),
-    *_AGGREGATES,
-    *("rank", "rank_low", "rank_high", "best", "complete", "failed"),
+    *("shorter", "shorter_low", "shorter_high", "rank", "rank_low", "rank_high", "best", "complete", "failed"),
 )
 """Columns of a table of standings, before those of single kinds of worlds."""
 LEAGUE_STRATEGIES = (
@@ -86,15 +89,16 @@ def standings(episodes: pd.DataFrame) -> pd.DataFrame:
     Returns:
       A DataFrame: `strategy`; `worlds`, in which all ran; `paired`, worlds in which there is a ratio; `ratio`,
         `ratio_low`, `ratio_high`; `p`, that of the ratio being 1, and `p_holm`, corrected for as many strategies as
-        there are (`holm`); `shorter` and `iqm` with their ends, from `aggregates`; `rank`, `rank_low`, `rank_high`;
+        there are (`holm`); `shorter`, `shorter_low`, `shorter_high`, the share of starts with a shorter path than the
+        reference's, equal ones by half (in a single world the starts are the sample); `rank`, `rank_low`, `rank_high`;
         `best`, worlds in which its mean path is no longer than any other's; `complete`, share of its episodes that
         ended COMPLETE; `failed`, share that failed; and `ratio of K` for every kind of world K.
     """
-    tables: Any = comparable_paths(episodes), paths_by_world(episodes), aggregates(episodes)
-    paths, ratios, more = tables
+    tables: Any = comparable_paths(episodes), paths_by_world(episodes)
+    paths, ratios = tables
     ranks, means = (table.groupby(level="world", sort=False).mean() for table in (paths.rank(axis=1), paths))
     kinds, rows = [kind_of(world) for world in ranks.index], []
-    for name, extra in zip(paths.columns, more.to_dict("records")):
+    for i, name in enumerate(paths.columns):
         own = ratios[ratios["strategy"] == name]
         logs, of_kind = own["log_ratio"].to_numpy(), [kind_of(world) for world in own["world"]]
         found = ratio_over_worlds(logs, own["world"])
@@ -103,7 +107,8 @@ def standings(episodes: pd.DataFrame) -> pd.DataFrame:
         best = int((np.isfinite(means[name]) & (means[name] <= means.min(axis=1))).sum())
         row = {"strategy": name, "worlds": len(ranks), "paired": len(own)}
         row |= {"ratio": found.ratio, "ratio_low": found.low, "ratio_high": found.high, "p": found.p}
-        row |= {"p_holm": math.nan, **{key: extra[key] for key in _AGGREGATES}}
+        shares = _shorter(paths[name], paths.iloc[:, 0]) if i else [math.nan] * 3
+        row |= {"p_holm": math.nan, **dict(zip(("shorter", "shorter_low", "shorter_high"), shares))}
         row |= {"rank": rank, "rank_low": rank_low, "rank_high": rank_high, "best": best}
         ended = episodes.loc[episodes["strategy"] == name, "outcome"]
         row |= {"complete": float(ended.isin(DONE).mean()), "failed": float(np.isinf(paths[name]).mean())}
@@ -116,6 +121,19 @@ def standings(episodes: pd.DataFrame) -> pd.DataFrame:
     return table.sort_values(["rank", "ratio"], kind="stable", ignore_index=True)
 
 
+def _shorter(paths, reference):
+    """Return the share of starts with a shorter path, equal ones by half, with its interval: `share_over_worlds`.
+
+    Source:
+      Agarwal et al. 2021, probability of improvement. Changed: paired by start, and the sample are worlds.
+    """
+    wins = (paths < reference) + 0.5 * (paths == reference)
+    shares = wins.groupby(level="world", sort=False).mean()
+    if len(shares) < 2:
+        return share_over_worlds(wins, ["start"] * len(wins))[:3]
+    return share_over_worlds(shares, [kind_of(world) for world in shares.index])[:3]
+
+
 def _verdict(row):
     if not math.isfinite(row["p_holm"]):
         return "-"
@@ -126,14 +144,13 @@ def standings_table(table: pd.DataFrame) -> str:
     """Format `standings` as one aligned Markdown table. The reference differs at the 5 % level of the corrected p."""
     kinds = [name for name in table.columns if name.startswith("ratio of ")]
     kinds = kinds if len(kinds) > 1 else []
-    head = ["strategy", "ratio to the reference", "p (Holm)", "", "shorter, % of starts", "IQM of ratios", "mean rank"]
+    head = ["strategy", "ratio to the reference", "p (Holm)", "", "shorter, % of starts", "mean rank"]
     head += ["best in", *(k.removeprefix("ratio of ") for k in kinds), "COMPLETE"]
     lines = []
     for row in table.to_dict("records"):
         line = [row["strategy"], ratio_text(row["ratio"], row["ratio_low"], row["ratio_high"]), p_text(row["p_holm"])]
         share = (100 * row[key] for key in ("shorter", "shorter_low", "shorter_high"))
         line += [_verdict(row), ratio_text(*share, decimals=0)]
-        line += [ratio_text(row["iqm"], row["iqm_low"], row["iqm_high"])]
         rank = ratio_text(row["rank"], row["rank_low"], row["rank_high"], 1)
         line += [rank, f"{row['best']} of {row['worlds']}"]
         lines.append([*line, *(number_text(row[k], 3) for k in kinds), f"{row['complete']:.0%}"])
@@ -147,6 +164,6 @@ def over_worlds_text(table: pd.DataFrame) -> str:
 Over {worlds} worlds, which count the same; intervals (95 %) are for other worlds like these:
 
 {standings_table(table)}
-*shorter*: starts from which the path is shorter than the reference's, equal ones by half. *IQM*: interquartile mean, of
-the middle half of the ratios start by start. *best in*: worlds without a shorter mean path.
+*shorter*: starts from which the path is shorter than the reference's, equal ones by half. *best in*: worlds without a
+shorter mean path.
 """

@@ -56,15 +56,6 @@ def safe_exp(value: float) -> float:
         return float(np.exp(value))
 
 
-def spread_of(values: ArrayLike, reference: ArrayLike) -> tuple[float, float]:
-    """Return standard error and degrees of freedom of the logarithm of a `paired_ratio`; 0 and 0 for none."""
-    values, reference = np.asarray(values, np.float64), np.asarray(reference, np.float64)
-    n, mean, mean_reference = len(values), values.mean(), reference.mean()
-    if n < 2 or np.ptp(values) == 0 == np.ptp(reference) or mean <= 0 or mean_reference <= 0:
-        return 0.0, 0.0
-    return _standard_error(values / mean - reference / mean_reference), n - max(int((values == reference).sum()), 1)
-
-
 def paired_ratio(values: ArrayLike, reference: ArrayLike) -> PairedRatio:
     """Estimate the ratio R of the means of paired samples, `[N]` numbers from 0, with an interval and a test.
 
@@ -88,7 +79,9 @@ def paired_ratio(values: ArrayLike, reference: ArrayLike) -> PairedRatio:
     n = 1 if np.ptp(values) == 0 == np.ptp(reference) else len(values)
     mean, mean_reference = values.mean(), reference.mean()
     ratio = float(mean / mean_reference) if mean_reference > 0 else math.nan
-    error, freedom = spread_of(values, reference)
+    has_spread = n > 1 and min(mean, mean_reference) > 0
+    error = _standard_error(values / mean - reference / mean_reference) if has_spread else 0.0
+    freedom = n - max(int((values == reference).sum()), 1)
     low, high, p = t_interval(math.log(ratio) if error else math.nan, error, freedom)
     return PairedRatio(ratio, safe_exp(low), safe_exp(high), p, n)
 

@@ -28,19 +28,9 @@ def _cut(table, name):
     column = table[name]
     if column.dtype.kind not in "iuf" or column.nunique() <= 2 * BINS:
         return table
-    parts = np.array_split(np.sort(column.unique()).astype(np.float64), BINS)
-    means = _rounded([part.mean() for part in parts])
-    place = {value: mean for part, mean in zip(parts, means) for value in part.tolist()}
-    return table.assign(**{name: column.astype(np.float64).map(place)})
-
-
-def _rounded(means):
-    """Round rising numbers to as few digits, three or more, as keep them distinct."""
-    for digits in range(3, 17):
-        short = [float(f"{mean:.{digits}g}") for mean in means]
-        if len(set(short)) == len(means):
-            return short
-    return means
+    values = pd.Series(np.sort(column.unique()).astype(np.float64))
+    means = values.groupby(pd.qcut(values, BINS, labels=False)).transform("mean")
+    return table.assign(**{name: column.astype(np.float64).map(dict(zip(values, means)))})
 
 
 def response(episodes: pd.DataFrame, setting: str, *, over_worlds: bool | None = None) -> pd.DataFrame:
