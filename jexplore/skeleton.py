@@ -5,9 +5,9 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array
 
-from jexplore.arrays import bits, sparse
+from jexplore.arrays import bits, groups
+from jexplore.arrays.groups import EIGHT_NEIGHBOURS
 from jexplore.arrays.loops import settled
-from jexplore.arrays.sparse import EIGHT_NEIGHBOURS
 from jexplore.distance import FAR, nearest_offset
 from jexplore.grid import beside, bordered
 
@@ -95,14 +95,14 @@ def graph(skeleton: Array, d2: Array, *, size: int) -> Graph:
 
     `d2` is the squared distance to the nearest obstacle; `size` is K, static.
     """
-    cells = sparse.list_cells(skeleton, size)
+    cells = groups.list_cells(skeleton, size)
     east, north, west, south, *diagonal = (cells.near[:, i] for i in range(len(EIGHT_NEIGHBOURS)))
     corners = ((east, north), (west, north), (west, south), (east, south))
     diagonal = [jnp.where((a < size) | (b < size), size, d) for d, (a, b) in zip(diagonal, corners)]
     link = jnp.stack([east, north, west, south, *diagonal], axis=1)
     return Graph(
         cell=cells.cell,
-        d2=sparse.at(d2, cells.cell, 0),
+        d2=groups.at(d2, cells.cell, 0),
         link=link,
         degree=jnp.sum(link < size, axis=1, dtype=jnp.int32),
         overflow=cells.overflow,

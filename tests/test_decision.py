@@ -14,7 +14,7 @@ from ref.refusals import refused
 from ref.worlds import two_rooms
 
 import jexplore as jx
-from jexplore.engine.draws import random_key
+from jexplore.engine.devices import random_key
 from jexplore.exploration import replay
 from jexplore.exploration.site import prepare_site
 from jexplore.exploration.state import Stream

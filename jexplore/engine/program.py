@@ -15,7 +15,7 @@ import numpy as np
 from flax import struct
 from jax import Array
 
-from jexplore.engine.draws import random_key
+from jexplore.engine.devices import random_key
 
 
 @struct.dataclass

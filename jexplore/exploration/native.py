@@ -15,8 +15,8 @@ from jexplore.exploration.site import ROBOT, regions_of, rule_numbers, tasks_of
 from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result
 from jexplore.exploration.trail import Final, Record, decode, record_of
 from jexplore.native import episodes, gpu
-from jexplore.native.beams import trace_beams
 from jexplore.native.build import warn_once
+from jexplore.native.episodes import trace_beams
 from jexplore.policies.closest import is_nearest
 from jexplore.policies.policy import Strategy
 from jexplore.policies.uniform import is_uniform

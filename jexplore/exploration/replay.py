@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
-from jexplore.engine.draws import pinned_draws
+from jexplore.engine.devices import pinned_draws
 from jexplore.engine.program import Given, given_of
 from jexplore.exploration import environment
 from jexplore.exploration.site import Site, line_of

@@ -1,6 +1,5 @@
 """Behavioral Trace Maps as route graphs of Nav2, which leave something out; `json_form.to_json` keeps everything."""
 
-import collections
 import json
 import math
 from collections.abc import Mapping
@@ -13,7 +12,7 @@ from jexplore.tracemap.record import NOWHERE, BtmMap, check_map
 NAV2_IDS = 65536  # ids of nodes and edges must lie below: messages of the Route Server hold 16 bits
 SHORTEST_M = 0.001  # least cost of an edge: the planner of the Route Server gives up over one that costs nothing
 
-_NODE_MEASURES = ("inclination_deg", "step_m", "posture_deg")
+_NODE_MEASURES = ("obstacle", "inclination_deg", "step_m", "posture_deg")
 _LINK_MEASURES = ("length_m", "min_width_m", "posture_deg", "max_roll_deg", "max_step_m", "opening_m")
 
 
@@ -49,55 +48,35 @@ def geojson(btm: BtmMap) -> dict[str, Any]:
     last = first + 2 * len(searched) - 1
     if last >= NAV2_IDS:
         raise InputError(f"ids of a route graph must lie below {NAV2_IDS}, those of this map would reach {last}")
-    bearings = _both_bearings(btm)
-    features = [
-        _feature("Point", [node.x_m, node.y_m], _node_properties(node, frame, bearings(node))) for node in btm.nodes
-    ]
     places = {node.id: [node.x_m, node.y_m] for node in btm.nodes}
+    features = []
+    for node in btm.nodes:
+        metadata = {"class": node.obstacle or node.type, "type": node.type, **_told(node, _NODE_MEASURES)}
+        stubs = sorted((end[3] for end in btm.ends[node.id] if end[3].end == NOWHERE), key=lambda link: link.id)
+        metadata["angles_deg"] = btm.angles_deg(node.id)
+        metadata["unsearched_bearings_deg"] = [link.start_bearing_deg for link in stubs]
+        features.append(("Point", places[node.id], {"id": node.id, "frame": frame, "metadata": metadata}))
     for number, link in enumerate(searched):
         for way, (start, end) in enumerate(((link.start, link.end), (link.end, link.start))):
             line = [places[start], places[end]]
-            ends = {"id": first + 2 * number + way, "startid": start, "endid": end}
-            features.append(_feature("LineString", line, {**ends, **_edge_properties(link, math.dist(*line))}))
-    return {"type": "FeatureCollection", "features": features}
-
-
-def _feature(kind, coordinates, properties):
-    return {"type": "Feature", "properties": properties, "geometry": {"type": kind, "coordinates": coordinates}}
-
-
-def _node_properties(node, frame, bearings):
-    metadata = {"class": node.obstacle or node.type, "type": node.type}
-    if node.obstacle:
-        metadata["obstacle"] = node.obstacle
-    metadata |= _measures(node, _NODE_MEASURES)
-    return {"id": node.id, "frame": frame, "metadata": metadata | bearings | _extensions(node.attributes)}
-
-
-def _edge_properties(link, chord_m):
-    length_m = max(chord_m if link.length_m is None else link.length_m, SHORTEST_M)
-    metadata = {"penalty": max(0.0, length_m - chord_m), **_measures(link, _LINK_MEASURES), "link": float(link.id)}
-    return {"cost": length_m, "overridable": True, "metadata": metadata | _extensions(link.attributes)}
-
-
-def _measures(record, names):
-    return {name: value for name in names if (value := getattr(record, name)) is not None}
-
-
-def _both_bearings(btm):
-    """Return node -> angles between its links, and bearings of its un-searched ones, by their names in files."""
-    unsearched = collections.defaultdict(list)
-    for link in btm.links:
-        if link.end == NOWHERE:
-            unsearched[link.start].append(link.start_bearing_deg)
-    return lambda node: {
-        "angles_deg": btm.angles_deg(node.id),
-        "unsearched_bearings_deg": unsearched.get(node.id, []),
+            length_m = max(math.dist(*line) if link.length_m is None else link.length_m, SHORTEST_M)
+            metadata = {"penalty": max(0.0, length_m - math.dist(*line)), "link": float(link.id)}
+            own = {"id": first + 2 * number + way, "startid": start, "endid": end, "cost": length_m}
+            own |= {"overridable": True, "metadata": metadata | _told(link, _LINK_MEASURES)}
+            features.append(("LineString", line, own))
+    return {
+        "type": "FeatureCollection",
+        "features": [
+            {"type": "Feature", "properties": own, "geometry": {"type": kind, "coordinates": coordinates}}
+            for kind, coordinates, own in features
+        ],
     }
 
 
-def _extensions(attributes):
-    return {"attributes": _metadata(attributes)} if attributes else {}
+def _told(record, names):
+    """Return what a record tells by these names, and its extensions."""
+    found = {name: value for name in names if (value := getattr(record, name)) is not None}
+    return {**found, "attributes": _metadata(record.attributes)} if record.attributes else found
 
 
 def _metadata(value, depth=0):

@@ -90,10 +90,8 @@ def _ahead(link, heading_deg, parts):
 
 def _in_order(nodes, links, root, ahead):
     """Renumber everything as a robot meets it that begins at a node with a link: the map."""
-    around = {number: [] for number in nodes}  # (bearing, link as it is followed from there)
-    for link in links:
-        around[link.start].append((link.start_bearing_deg, link))
-        around[link.end].append((link.end_bearing_deg, _turned(link)))
+    ends = BtmMap((), tuple(links)).ends
+    around = {node: [(end[0], _turned(end[3]) if end[2] else end[3]) for end in ends[node]] for node in nodes}
     number, taken, followed = {root: 0}, set(), []
     here, back = root, ahead.start_bearing_deg if ahead.start == root else ahead.end_bearing_deg
     while True:
