@@ -21,7 +21,7 @@ from skimage.measure import points_in_poly
 from jexplore.config import InputWarning
 from jexplore.worlds import load_world
 from jexplore.worlds.bounds import MAX_SIDE
-from jexplore.worlds.readers import houseexpo
+from jexplore.worlds.readers import datasets
 from jexplore.worlds.readers.grids import inside_polygon, require_upright, resample
 from jexplore.worlds.readers.images import grey, load_image, read_pixels, transparency
 from jexplore.worlds.readers.ros import load_ros, read_ros, write_ros
@@ -651,7 +651,7 @@ def test_houseexpo_inside_and_outline_agree_with_oracles(n, seed, cell_m):
     verts = (rng.uniform(0.5, 2, n)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)).round(3)
     corners = (verts - verts.min(axis=0)) / cell_m
     cols, rows = (np.floor(corners.max(axis=0)) + 1).astype(int)
-    outline = houseexpo._outline(corners, (rows, cols))
+    outline = datasets._outline(corners, (rows, cols))
     inside = inside_polygon(corners, np.arange(cols) + 0.5, np.arange(rows) + 0.5)
     y, x = np.indices((rows, cols)).reshape(2, -1) + 0.5
     expected = points_in_poly(np.stack([x, y], axis=1), corners).reshape(rows, cols)
