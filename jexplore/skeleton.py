@@ -64,7 +64,8 @@ def thin(words: Array) -> Array:
         if not first:
             east, north, west, south, ne, nw, sw, se = west, south, east, north, sw, se, ne, nw
         pairs = (~north & (ne | east), ~east & (se | south), ~south & (sw | west), ~west & (nw | north))
-        one = _exactly_one(pairs)
+        a, b, c, d = pairs
+        one = ((a ^ b) & ~(c | d)) | ((c ^ d) & ~(a | b))  # exactly one
         low, high = (nw | north, ne | east, se | south, sw | west), (north | ne, east | se, south | sw, west | nw)
         (two_low, four_low), (two_high, four_high) = _two_and_four(low), _two_and_four(high)
         # The smaller of both sums is 2 or 3.
@@ -77,11 +78,6 @@ def thin(words: Array) -> Array:
         return words
 
     return settled(round_, words)
-
-
-def _exactly_one(masks: tuple[Array, ...]) -> Array:
-    a, b, c, d = masks
-    return ((a ^ b) & ~(c | d)) | ((c ^ d) & ~(a | b))
 
 
 def _two_and_four(masks: tuple[Array, ...]) -> tuple[Array, Array]:

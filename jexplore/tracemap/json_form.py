@@ -31,18 +31,12 @@ def to_json(btm: BtmMap) -> dict[str, Any]:
       InputError: the map is not a proper one; see `record.check_map`.
     """
     btm = check_map(btm)
-    nodes = []
-    for node in btm.nodes:
-        angles, item = btm.angles_deg(node.id), dict(vars(node))
-        attributes = item.pop("attributes")
-        nodes.append({**item, "links": len(angles), "angles_deg": angles, "attributes": attributes})
-    return {
-        "format": MAP_FORMAT,
-        "version": list(VERSION),
-        "attributes": btm.attributes,
-        "nodes": nodes,
-        "links": [dict(vars(link)) for link in btm.links],
-    }
+    nodes = [dict(vars(node)) for node in btm.nodes]
+    for node in nodes:
+        attributes, angles = node.pop("attributes"), btm.angles_deg(node["id"])
+        node |= {"links": len(angles), "angles_deg": angles, "attributes": attributes}
+    head = {"format": MAP_FORMAT, "version": list(VERSION), "attributes": btm.attributes}
+    return {**head, "nodes": nodes, "links": [dict(vars(link)) for link in btm.links]}
 
 
 @checked_names
