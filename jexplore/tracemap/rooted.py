@@ -3,6 +3,7 @@
 import dataclasses
 import heapq
 import math
+from typing import Any
 
 from jexplore.config import InputError
 from jexplore.tracemap.record import NOWHERE, BtmMap, Node, direction_deg
@@ -78,7 +79,9 @@ def _split(first, link, root, free):
 def _in_order(nodes, links, root, ahead):
     """Renumber everything as a robot meets it that begins at a node with a link: the map."""
     ends = BtmMap((), tuple(links)).ends
-    around = {node: [(end[0], _turned(end[3]) if end[2] else end[3]) for end in ends[node]] for node in nodes}
+    around: dict[int, Any] = {
+        node: [(end[0], _turned(end[3]) if end[2] else end[3]) for end in ends[node]] for node in nodes
+    }
     number, taken, followed = {root: 0}, set(), []
     here, back = root, ahead.start_bearing_deg if ahead.start == root else ahead.end_bearing_deg
     while True:

@@ -34,7 +34,7 @@ PARAMETERS: dict[str, dict[str, Any]] = {
     },
 }
 """Generator -> parameter -> its least and largest value, an integer where these are; its words; or bool."""
-LEAST_M: dict[str, Callable[[Mapping[str, Any]], tuple[float, float]]] = {
+LEAST_M: dict[str, Callable[[Mapping[str, Any]], tuple[float, ...]]] = {
     "office": lambda given: (14.0, 9.0),
     "hospital": lambda given: (32.0, 11.0),
     "cave": lambda given: (max(6.0, 6 * given["passage_m"]),) * 2,

@@ -33,7 +33,8 @@ def load_movingai(path: str, map_cell_m: float | None = None, *, cell_m: float =
     map_cell_m = cell_m if map_cell_m is None else map_cell_m
     lines = [line.rstrip() for line in read_text(path, _MAX_MAP_BYTES).splitlines()]
     first = lines.index("map") + 1 if "map" in lines[:_HEADER] else 0
-    size = dict(line.strip().partition(" ")[::2] for line in lines[: max(first - 1, 0)])
+    words = (line.strip().partition(" ") for line in lines[: max(first - 1, 0)])
+    size = {key: value.strip() for key, _, value in words}
     if size.keys() - {"type"} != {"height", "width"}:
         raise InputError(f"{path!r}: is not a MovingAI map; expected the lines type, height, width and map")
     for key in ("height", "width"):
