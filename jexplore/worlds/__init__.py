@@ -35,8 +35,7 @@ _GRID: dict[str, Callable[[str, Any], object]] = {
 _FAR = functools.partial(require_number, low_open=True, high=1000)
 _READERS: dict[str, tuple[str, dict[str, Callable[[str, Any], object]]]] = {
     "image": ("images:load_image", {"free": functools.partial(require_number, high=255)}),
-    "movingai": ("datasets:load_movingai", {}),
-    "HouseExpo": ("datasets:load_houseexpo", {}),
+    "HouseExpo": ("houseexpo:load_houseexpo", {}),
     "CARMEN": (
         "carmen:load_carmen",
         {
@@ -53,7 +52,6 @@ _READERS: dict[str, tuple[str, dict[str, Callable[[str, Any], object]]]] = {
 _FILES = {
     "map.yaml": "a ROS map",
     "map.png@16x16, map.png@0.05": "a picture, with its sides in metres or its metres a pixel",
-    "map.map@0.1": "a MovingAI map, with its metres a cell",
     "plan.json": "a HouseExpo plan",
     "scans.log": "a CARMEN log",
     "run.bag, run.mcap": "a ROS bag",
@@ -115,7 +113,7 @@ def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
     """Load the world of a name: a generated one, or one read from a map file.
 
     `cave`, `cave#3`, `hospital#2:width_m=60,height_m=25`, `map.yaml`, `map.png@16x16`, `map.png@0.05:free=150`,
-    `map.map@0.1`, `plan.json`, `scans.log`, `run.bag:topic=/map`: `names.parse_name` has the grammar, the readers say
+    `plan.json`, `scans.log`, `run.bag:topic=/map`: `names.parse_name` has the grammar, the readers say
     what a file means.
 
     Args:
@@ -176,7 +174,7 @@ def read_name(name: str) -> tuple[names.WorldName, tuple[Any, ...] | None]:
     if parsed.kind == "image" and parsed.scale is None:
         scale = "append @16x16 for its size in metres or @0.05 for metres a pixel"
         raise InputError(f"{parsed.name!r}: a picture needs a scale; {scale}")
-    if parsed.kind not in ("image", "movingai") and parsed.scale is not None:
+    if parsed.kind != "image" and parsed.scale is not None:
         raise InputError(f"{parsed.name!r}: a {parsed.kind} file has its own scale; leave out what follows the '@'")
     return parsed, chosen
 
@@ -223,5 +221,5 @@ def _as_default(parsed: names.WorldName, key: str, value: Any, default: Any) -> 
 def _read(parsed: names.WorldName, cell_m: float) -> "World":
     module, _, function = _READERS[parsed.kind][0].partition(":")
     load = getattr(importlib.import_module(f"jexplore.worlds.readers.{module}"), function)
-    scale = (parsed.scale,) if parsed.kind in ("image", "movingai") else ()
+    scale = (parsed.scale,) if parsed.kind == "image" else ()
     return load(parsed.base, *scale, cell_m=cell_m, **parsed.parameters)

@@ -1,9 +1,8 @@
-"""Maps of data sets: those of the MovingAI benchmark, one character a cell, and HouseExpo's floor plans.
+"""Floor plans of the HouseExpo data set: an outline in metres and boxes of rooms.
 
 Source:
-  Sturtevant 2012, Benchmarks for grid-based pathfinding; its rule that a swamp is left only into a swamp is dropped. Li
-  et al. 2019, HouseExpo. Changed: y points up as everywhere here (its pictures have it down), and the outline is a
-  wall, which also keeps plans apart whose walls are thinner than a cell.
+  Li et al. 2019, HouseExpo. Changed: y points up as everywhere here (its pictures have it down), and the outline is
+  a wall, which also keeps plans apart whose walls are thinner than a cell.
 """
 
 import itertools
@@ -12,47 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from jexplore.arrays.files import read_json, read_text
+from jexplore.arrays.files import read_json
 from jexplore.config import InputError
 from jexplore.worlds.bounds import require_side
-from jexplore.worlds.readers.grids import inside_polygon, resample
+from jexplore.worlds.readers.grids import inside_polygon
 from jexplore.worlds.world import World
 
-_FREE, _BLOCKED = ".GS", "@OTW"  # ground, ground, swamp; out of bounds twice, trees, water
-_HEADER = 16  # lines within which a MovingAI map must begin
-_MAX_MAP_BYTES, _MAX_PLAN_BYTES = 128 * 2**20, 16 * 2**20
-
-
-def load_movingai(path: str, map_cell_m: float | None = None, *, cell_m: float = 0.1) -> World:
-    """Load a world from a `.map` file, whose first row of characters is the top.
-
-    `map_cell_m` is the edge of one cell of the file, by default `cell_m`.
-    """
-    if isinstance(map_cell_m, tuple):
-        raise InputError(f"{path!r}: a .map file takes the metres of one cell after the '@', as in @0.1")
-    map_cell_m = cell_m if map_cell_m is None else map_cell_m
-    lines = [line.rstrip() for line in read_text(path, _MAX_MAP_BYTES).splitlines()]
-    first = lines.index("map") + 1 if "map" in lines[:_HEADER] else 0
-    words = (line.strip().partition(" ") for line in lines[: max(first - 1, 0)])
-    size = {key: value.strip() for key, _, value in words}
-    if size.keys() - {"type"} != {"height", "width"}:
-        raise InputError(f"{path!r}: is not a MovingAI map; expected the lines type, height, width and map")
-    for key in ("height", "width"):
-        if not (size[key].isascii() and size[key].isdigit() and len(size[key]) < 10 and int(size[key])):
-            raise InputError(f"{path!r}: {key} must be an integer from 1, got {size[key]!r}")
-    rows, cols = int(size["height"]), int(size["width"])
-    require_side(path, *(n * map_cell_m / cell_m for n in (rows, cols)), cell_m=cell_m)
-    lines = "\n".join(lines[first:]).rstrip().split("\n")
-    if len(lines) != rows:
-        raise InputError(f"{path!r}: its header says {rows} rows, but {len(lines)} follow")
-    for number, line in enumerate(lines, start=first + 1):
-        if len(line) != cols:
-            raise InputError(f"{path!r}: line {number} must have {cols} characters, it has {len(line)}")
-        if unknown := line.strip(_FREE + _BLOCKED):
-            raise InputError(f"{path!r}: line {number} has {unknown[0]!r}; the characters are {_FREE} and {_BLOCKED}")
-    characters = np.frombuffer("".join(lines).encode(), np.uint8).reshape(rows, cols)[::-1]
-    occupied = ~np.isin(characters, np.frombuffer(_FREE.encode(), np.uint8))
-    return World(occupied=resample(occupied, (map_cell_m, map_cell_m), cell_m, name=path), cell_m=cell_m, name=path)
+_MAX_PLAN_BYTES = 16 * 2**20
 
 
 def load_houseexpo(path: str, *, cell_m: float = 0.1) -> World:
