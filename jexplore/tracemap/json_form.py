@@ -14,7 +14,6 @@ VERSION = (1, 1)  # the first number changes where an older reader would go wron
 MAX_MAP_BYTES = 2**26  # of a file that is read: that of a hundred thousand nodes and links
 WANTED = "give the btm.json that `jexplore trace` writes"
 OTHER_FILES = {
-    "features": "GeoJSON, such as the route graph for Nav2",
     "command": "the record of a run",
     "is_found": "a route, the result of `jexplore route`",
 }
