@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from ref.refusals import refused
 from scipy import ndimage
 
+from jexplore.rooms.scores import label_components
 from jexplore.worlds.bounds import PARAMETERS
 from jexplore.worlds.generators.cave import _widen, cave
 from jexplore.worlds.generators.course import course
@@ -26,7 +27,7 @@ from jexplore.worlds.generators.maze import maze, passages
 from jexplore.worlds.generators.office import office
 from jexplore.worlds.generators.rooms import rooms
 from jexplore.worlds.generators.variants import limit_loops, widen_openings
-from jexplore.worlds.starts import clear_of_walls, label_components
+from jexplore.worlds.starts import clear_of_walls
 from jexplore.worlds.world import World
 
 KINDS = {"cave": cave, "office": office, "hospital": hospital, "maze": maze, "rooms": rooms}

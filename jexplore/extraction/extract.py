@@ -17,9 +17,9 @@ from jexplore.config import InputError, require_number
 from jexplore.extraction.lines import Lines, connected_cells, lines_of, take_corners
 from jexplore.extraction.passages import SEARCH, PlaceDraft, places_and_passages
 from jexplore.grid import centre_of, in_cells
+from jexplore.rooms.scores import label_components
 from jexplore.rooms.watershed import CLUTTER_M, clutter
 from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link, Node
-from jexplore.worlds.starts import label_components
 
 _UNSEARCHED, _SEARCHED = STATUS
 _looked_through = jax.jit(clutter, static_argnames="edges")
