@@ -278,7 +278,7 @@ def test_of_several_frames_the_first_is_read_and_said(tmp_path, name):
         assert grey(read_pixels(str(tmp_path / name))).tolist() == [[0, 255]]
 
 
-@pytest.mark.parametrize("name", ["m.yaml", "m.log", "m.json", "m.map", "m.png@0.1", "m.db3"])
+@pytest.mark.parametrize("name", ["m.yaml", "m.log", "m.json", "m.png@0.1", "m.db3"])
 def test_a_file_of_another_kind_is_told_what_it_is(tmp_path, name):
     for content, said in (
         (b"#ROSBAG V2.0\n", "a bag of ROS 1, whose name must end in .bag"),
