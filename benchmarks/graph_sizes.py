@@ -21,7 +21,7 @@ from jexplore.exploration.site import COARSE_M, prepare_site
 from jexplore.grid import any_within_one, is_free, is_known
 from jexplore.policies import parse_strategy
 from jexplore.rooms import watershed
-from jexplore.segment import PROMINENCE_M, criteria, form_for, segment
+from jexplore.segment import PROMINENCE_M, Form, criteria, form_for, segment
 from jexplore.worlds import load_world
 from jexplore.worlds.starts import draw_starts
 
@@ -33,7 +33,6 @@ SIZES = {
     "office": ((14.0, 9.0), (30.0, 20.0)),
     "hospital": ((32.0, 11.0), (50.0, 20.0)),
     f"office:{FULL}": ((14.0, 9.0), (30.0, 20.0)),
-    f"office:open_plan=true,{FULL}": ((30.0, 20.0),),
     f"hospital:{FULL}": ((50.0, 20.0),),
     f"rooms:{FULL}": ((6.0, 6.0), (20.0, 20.0)),
 }
@@ -60,15 +59,18 @@ def measure(world, seed=5):
     site = prepare_site(world, lidar, rules)
     found = batch.run_jobs([batch.Job(world, strategy, starts, seed)], lidar, rules)
     plans, shape = found.outcomes[0].first.plans, site.truth.occupied.shape
-    form = form_for(shape, nodes=shape[0] * shape[1] // 4, splits=2048)
-    every, most = max(1, len(plans) // PLANS), (0,) * len(WHAT)
-    for i, plan in enumerate(replay.replayed_plans(site, strategy, starts[0], seed, 0, plans)):
-        for _ in plan.moments:
-            pass
-        if plan.belief is not None and (i % every == 0 or i > len(plans) - 3):
-            *counts, overflow = (int(count) for count in _counts(plan.belief, form))
-            assert overflow == 0
-            most = tuple(map(max, most, counts))
+    form = Form(nodes=shape[0] * shape[1] // 4, splits=2048)
+    every, found = max(1, len(plans) // PLANS), []
+
+    def measure_plan(belief, _):
+        found.append((0,) * (len(WHAT) + 1))
+        if len(found) % every == 0 or len(found) > len(plans) - 3:
+            found[-1] = tuple(map(int, _counts(belief, form)))
+
+    for _ in replay.moments(site, strategy, starts[0], seed, 0, plans, measure_plan):
+        pass
+    *most, overflow = map(max, zip(*found))
+    assert overflow == 0
     return shape, *most
 
 

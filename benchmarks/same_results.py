@@ -1,6 +1,6 @@
 """Check that two result folders hold equal results, bit by bit: `python benchmarks/same_results.py BEFORE AFTER`.
 
-Compares every table (`*.parquet`) and every Behavioral Trace Map (`btm.json`, `btm.geojson`) of the first folder with
+Compares every table (`*.parquet`) and every Behavioral Trace Map (`btm.json`) of the first folder with
 that of the second. Columns that only the second has are told and do not count. Exit status 1 if anything differs.
 """
 
@@ -11,8 +11,6 @@ from pathlib import Path
 import pandas as pd
 
 from jexplore.bench.tables import markdown
-
-MAPS = ("btm.json", "btm.geojson")
 
 
 def compare_tables(before, after):
@@ -32,7 +30,7 @@ def compare_folders(before, after):
     rows = []
     for path in sorted(before.iterdir()):
         other = after / path.name
-        if path.suffix != ".parquet" and path.name not in MAPS:
+        if path.suffix != ".parquet" and path.name != "btm.json":
             continue
         if not other.is_file():
             rows.append([path.name, "is missing", ""])

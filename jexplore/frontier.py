@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
 
-from jexplore.arrays import bits, groups, sparse
+from jexplore.arrays import bits, groups
 from jexplore.arrays.loops import stored
 from jexplore.config import checked_names
 from jexplore.distance import within, within_packed
@@ -210,7 +210,7 @@ def _members(
         """Return the misfit of the cells of a part as representatives of their clusters."""
         at = groups.read(cells.cell, slot)
         if cost is not None:
-            return sparse.at(cost, at, 0)
+            return groups.at(cost, at, 0)
         # In units of 1 / size, squared: integers would overflow, and equal distances must tie.
         size, sum_row, sum_col = total.at[:, which].get(mode="clip")
         dr = (at // width * size - sum_row).astype(jnp.float32) / jnp.maximum(size, 1)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
 
-from jexplore.arrays import bits, sparse
+from jexplore.arrays import bits, groups
 from jexplore.arrays.loops import repeat
 from jexplore.grid import beside, bordered
 from jexplore.reach import nearest_source
@@ -273,15 +273,15 @@ def segment(free: Array, criteria: Criteria, *, form: Form) -> Segments:
     head = _chains(graph)[0]
     sides = jnp.stack([head[jnp.minimum(2 * node + j, 2 * form.nodes)] for j in (0, 1)], axis=1).reshape(-1)
     sides = jnp.where(jnp.repeat(node, 2) < form.nodes, sides, form.nodes)
-    seed = sparse.at(graph.cell, sides, none)
+    seed = groups.at(graph.cell, sides, none)
     at_seed = jnp.full((none,), n, jnp.int32).at[seed].min(lax.iota(jnp.int32, n), mode="drop").reshape(height, width)
     sources = jnp.where((at_seed < n) & free, at_seed, -1)
     padded = jnp.pad(sources, ((0, -height % bits.WORD), (0, 0)), constant_values=-1)
     label = nearest_source(bits.pack(free), padded, n)[:height]
     # Two splits side by side may share a cell between them, which only one segment can grow from.
-    start = jnp.where(seed < none, sparse.at(at_seed, seed, n), lax.iota(jnp.int32, n))
+    start = jnp.where(seed < none, groups.at(at_seed, seed, n), lax.iota(jnp.int32, n))
     group = merged(borders(label, n), start)
     label = jnp.where(label >= 0, group[jnp.maximum(label, 0)], -1)
     count = jnp.sum(critical, dtype=jnp.int32)
     overflow = graph.overflow + jnp.maximum(count - form.splits, 0)
-    return Segments(label, graph, critical, group, seed, sparse.at(graph.d2, node, 0), count, overflow)
+    return Segments(label, graph, critical, group, seed, groups.at(graph.d2, node, 0), count, overflow)

@@ -5,9 +5,9 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array
 
-from jexplore.arrays import bits, sparse
+from jexplore.arrays import bits, groups
+from jexplore.arrays.groups import EIGHT_NEIGHBOURS
 from jexplore.arrays.loops import settled
-from jexplore.arrays.sparse import EIGHT_NEIGHBOURS
 from jexplore.distance import FAR, nearest_offset
 from jexplore.grid import beside, bordered
 
@@ -64,7 +64,8 @@ def thin(words: Array) -> Array:
         if not first:
             east, north, west, south, ne, nw, sw, se = west, south, east, north, sw, se, ne, nw
         pairs = (~north & (ne | east), ~east & (se | south), ~south & (sw | west), ~west & (nw | north))
-        one = _exactly_one(pairs)
+        a, b, c, d = pairs
+        one = ((a ^ b) & ~(c | d)) | ((c ^ d) & ~(a | b))  # exactly one
         low, high = (nw | north, ne | east, se | south, sw | west), (north | ne, east | se, south | sw, west | nw)
         (two_low, four_low), (two_high, four_high) = _two_and_four(low), _two_and_four(high)
         # The smaller of both sums is 2 or 3.
@@ -79,11 +80,6 @@ def thin(words: Array) -> Array:
     return settled(round_, words)
 
 
-def _exactly_one(masks: tuple[Array, ...]) -> Array:
-    a, b, c, d = masks
-    return ((a ^ b) & ~(c | d)) | ((c ^ d) & ~(a | b))
-
-
 def _two_and_four(masks: tuple[Array, ...]) -> tuple[Array, Array]:
     """Return the cells where at least two of four masks hold, and where all do."""
     a, b, c, d = masks
@@ -95,14 +91,14 @@ def graph(skeleton: Array, d2: Array, *, size: int) -> Graph:
 
     `d2` is the squared distance to the nearest obstacle; `size` is K, static.
     """
-    cells = sparse.list_cells(skeleton, size)
+    cells = groups.list_cells(skeleton, size)
     east, north, west, south, *diagonal = (cells.near[:, i] for i in range(len(EIGHT_NEIGHBOURS)))
     corners = ((east, north), (west, north), (west, south), (east, south))
     diagonal = [jnp.where((a < size) | (b < size), size, d) for d, (a, b) in zip(diagonal, corners)]
     link = jnp.stack([east, north, west, south, *diagonal], axis=1)
     return Graph(
         cell=cells.cell,
-        d2=sparse.at(d2, cells.cell, 0),
+        d2=groups.at(d2, cells.cell, 0),
         link=link,
         degree=jnp.sum(link < size, axis=1, dtype=jnp.int32),
         overflow=cells.overflow,

@@ -8,13 +8,14 @@ import pytest
 from ref.refusals import refused
 from scipy import ndimage
 
+from jexplore.rooms.scores import label_components
 from jexplore.tracemap.record import NOWHERE, check_map
 from jexplore.tracemap.rooted import topology_from
 from jexplore.tracemap.similarity import code
 from jexplore.worlds import load_world
 from jexplore.worlds.generators.course import course
 from jexplore.worlds.generators.route import largest_circle
-from jexplore.worlds.starts import check_start, clear_of_walls, label_components
+from jexplore.worlds.starts import check_start, clear_of_walls
 from jexplore.worlds.world import with_ring
 
 SEEDS = range(31)

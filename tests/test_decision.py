@@ -14,7 +14,7 @@ from ref.refusals import refused
 from ref.worlds import two_rooms
 
 import jexplore as jx
-from jexplore.engine.draws import random_key
+from jexplore.engine.devices import random_key
 from jexplore.exploration import replay
 from jexplore.exploration.site import prepare_site
 from jexplore.exploration.state import Stream
@@ -104,20 +104,23 @@ def check_episode(world, name, lidar, rules, *, episode=0, seed=3, most=10**6):
     made = jx.explore(world, name, seed=seed, episode=episode, lidar=lidar, rules=rules)
     site, own, memory, n = prepare_site(made.world, lidar, rules), jx.strategy(name), None, 0
     key = jax.random.fold_in(jax.random.fold_in(random_key(seed), episode), Stream.POLICY)
-    for plan in replay.replayed_plans(site, own, made.start, seed, episode, made.final.plans):
-        if plan.plan is not None and n < most:
-            arguments, more = as_arguments(plan.belief)
-            draw = jax.random.fold_in(key, n)
-            how = {"strategy": own, "lidar": lidar, "rules": rules, "memory": memory, "key": draw}
-            found = jx.next_target(*arguments, **more, **how)
-            wanted, memory, n = plan.plan.target, found.memory, n + 1
-            assert found.cell == (None if wanted is None else replay.target_of(plan.plan, site.ring))
-            cells = np.floor((found.path - ORIGIN) / more["cell_m"])
-            motions = [(int(dy), int(dx)) for dx, dy in np.diff(cells, axis=0)]
-            driven = [replay.MOTIONS[motion] for motion in plan.plan.motions]
-            assert motions[: len(driven)] == driven
-        for _ in plan.moments:
-            pass
+    asked = []
+    for _ in replay.moments(
+        site, own, made.start, seed, episode, made.final.plans, lambda belief, plan: asked.append((belief, plan))
+    ):
+        if len(asked) >= most:
+            break
+    for belief, plan in asked[:most]:
+        arguments, more = as_arguments(belief)
+        draw = jax.random.fold_in(key, n)
+        how = {"strategy": own, "lidar": lidar, "rules": rules, "memory": memory, "key": draw}
+        found = jx.next_target(*arguments, **more, **how)
+        memory, n = found.memory, n + 1
+        assert found.cell == (None if plan.target is None else replay.target_of(plan, site.ring))
+        cells = np.floor((found.path - ORIGIN) / more["cell_m"])
+        motions = [(int(dy), int(dx)) for dx, dy in np.diff(cells, axis=0)]
+        driven = [replay.MOTIONS[motion] for motion in plan.motions]
+        assert motions[: len(driven)] == driven
     return n
 
 

@@ -4,8 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from jexplore.engine.devices import compiled
-from jexplore.engine.draws import GENERATOR, pinned_draws, random_key
+from jexplore.engine.devices import GENERATOR, compiled, pinned_draws, random_key
 from jexplore.report import store
 
 

@@ -10,7 +10,7 @@ from ref.traces import CRAWLER, T_LEFT, changed, maps, node, stub, way
 
 from jexplore.config import InputError
 from jexplore.report import store
-from jexplore.tracemap import export, json_form
+from jexplore.tracemap import json_form
 from jexplore.tracemap.json_form import WANTED
 from jexplore.tracemap.record import BtmMap
 
@@ -130,7 +130,6 @@ def test_a_cut_file_is_refused_wherever_it_is_cut():
         ("[]", f'"b": format must be "behavioral-trace-map", got a list; {WANTED}'),
         ("{}", f'"b": format must be "behavioral-trace-map", got None; {WANTED}'),
         ('{\n"format": "x"}', f'"b": format must be "behavioral-trace-map", got \'x\'; {WANTED}'),
-        (json.dumps(export.geojson(CRAWLER)), f'"b": is GeoJSON, such as the route graph for Nav2; {WANTED}'),
         ('{"command": ["jexplore", "trace"]}', f'"b": is the record of a run; {WANTED}'),
         ('{"is_found": true, "links": []}', f'"b": is a route, the result of `jexplore route`; {WANTED}'),
         (text_of(T_LEFT, nodes={}), '"b": nodes must be a list, got {}'),

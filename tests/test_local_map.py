@@ -20,7 +20,7 @@ from jexplore.driving.local.run import LocalRun
 from jexplore.driving.local.sight import SeenPlace, SeenWay, look
 from jexplore.driving.local.window import CELL_M, SIDE, Fixed, Window
 from jexplore.driving.settings import ROBOTS
-from jexplore.engine.draws import random_key
+from jexplore.engine.devices import random_key
 from jexplore.report.operator_view import page
 from jexplore.studies.traces.job import prepare_trace
 from jexplore.studies.traces.recording import record_run

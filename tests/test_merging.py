@@ -25,9 +25,8 @@ from jexplore.tracemap.merging import pair as pair_module
 from jexplore.tracemap.merging.limits import Limits
 from jexplore.tracemap.merging.match import Merging, match_maps, with_neighbours
 from jexplore.tracemap.merging.merge import merge_maps
-from jexplore.tracemap.merging.pair import Pair
+from jexplore.tracemap.merging.pair import Pair, places_of
 from jexplore.tracemap.merging.rigid import Move, fit, mean_deg, mirrored, moved_map
-from jexplore.tracemap.merging.ways import places_of
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, check_map
 from jexplore.tracemap.similarity import code
 from jexplore.worlds import load_world

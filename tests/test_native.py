@@ -21,7 +21,7 @@ from jexplore.engine.runner import on_cores, run_all
 from jexplore.exploration import native as runs
 from jexplore.exploration.batch import Job, run_jobs
 from jexplore.native import build, episodes, gpu
-from jexplore.native.beams import trace_beams
+from jexplore.native.episodes import trace_beams
 from jexplore.policies import parse_strategy
 from jexplore.raycast import beam_table
 from jexplore.rules import Lidar, Rules

@@ -278,7 +278,7 @@ def test_of_several_frames_the_first_is_read_and_said(tmp_path, name):
         assert grey(read_pixels(str(tmp_path / name))).tolist() == [[0, 255]]
 
 
-@pytest.mark.parametrize("name", ["m.yaml", "m.log", "m.json", "m.map", "m.png@0.1", "m.db3"])
+@pytest.mark.parametrize("name", ["m.yaml", "m.log", "m.json", "m.png@0.1", "m.db3"])
 def test_a_file_of_another_kind_is_told_what_it_is(tmp_path, name):
     for content, said in (
         (b"#ROSBAG V2.0\n", "a bag of ROS 1, whose name must end in .bag"),
@@ -544,50 +544,12 @@ def test_bad_things_to_write_are_refused(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-# --- MovingAI
-
-
-def movingai(path, *rows, header="type octile\nheight {}\nwidth {}\nmap\n"):
-    path.write_text(header.format(len(rows), len(rows[0])) + "\n".join(rows) + "\n")
-    return path
-
-
-def test_movingai_by_pencil(tmp_path):
-    path = movingai(tmp_path / "m.map", ".GS@", "OTW.")
-    world = load_world(path)
-    assert world.occupied.tolist() == [[1, 1, 1, 0], [0, 0, 0, 1]]  # the first line is the top
-    assert world.shape == (2, 4)
-    assert load_world(path, cell_m=0.3).shape == (2, 4)  # by default a cell of the map is a cell
-    finer = load_world(f"{path}@0.2")
-    assert np.array_equal(finer.occupied, world.occupied.repeat(2, 0).repeat(2, 1))
-
-
-@pytest.mark.parametrize(
-    ("text", "line"),
-    [
-        ("", "is empty"),
-        ("hello\n", "is not a MovingAI map"),
-        ("type octile\nheight 1\nmap\n.\n", "is not a MovingAI map; expected the lines type, height, width and map"),
-        ("height 0\nwidth 1\nmap\n", "height must be an integer from 1, got '0'"),
-        ("height 1\nwidth x\nmap\n.\n", "width must be an integer from 1, got 'x'"),
-        ("height 2\nwidth 2\nmap\n..\n", "its header says 2 rows, but 1 follow"),
-        ("height 2\nwidth 2\nmap\n..\n.\n", "line 5 must have 2 characters, it has 1"),
-        ("height 1\nwidth 3\nmap\n.x.\n", "line 4 has 'x'; the characters are .GS and @OTW"),
-        ("height 1\nwidth 1\nmap\né\n", "line 4 has 'é'"),
-        ("width 2\r\nheight 1\r\nmap\r\n@T\r\n", "no cell is free at cell_m = 0.1"),
-        ("height 5000\nwidth 2\nmap\n..\n", "5000 x 2 cells are more than 4096"),
-    ],
-)
-def test_bad_movingai_maps_are_refused(tmp_path, text, line):
-    (tmp_path / "m.map").write_text(text, encoding="utf-8")
-    refused(line, load_world, tmp_path / "m.map")
+# --- other formats
 
 
 @pytest.mark.parametrize(
     ("name", "line"),
     [
-        ("m.map@2x2", r"takes the metres of one cell after the '@', as in @0.1"),
-        ("m.map@1:free=3", "no parameter 'free'; it takes inside, inside_x_m, inside_y_m"),
         ("p.json@0.1", "a HouseExpo file has its own scale"),
         ("p.json:free=1", "no parameter 'free'; it takes inside, inside_x_m, inside_y_m"),
         ("m.yaml@0.1", "a ROS file has its own scale"),
@@ -596,7 +558,6 @@ def test_bad_movingai_maps_are_refused(tmp_path, text, line):
     ],
 )
 def test_a_scale_or_parameter_of_another_format_is_refused(tmp_path, name, line):
-    movingai(tmp_path / "m.map", "..")
     plan(tmp_path / "p.json", SQUARE)
     ros_map(tmp_path, [[254]])
     refused(line, load_world, f"{tmp_path / name}")

@@ -9,7 +9,7 @@ from ref import basins, maps, rooms
 
 from jexplore.rooms import baselines, doors
 from jexplore.rooms.baselines import _free_space, maoris
-from jexplore.rooms.scores import components
+from jexplore.rooms.scores import label_components
 from jexplore.rooms.watershed import SMALLEST_ROOM_M2
 
 
@@ -256,7 +256,7 @@ def test_maoris_divides_all_free_space_into_whole_rooms(inside, cell_m):
     label = maoris(inside, clearance, cell_m)
     assert label.dtype == np.int32
     assert ((label >= 0) == inside).all()
-    assert all(components(label == room).max() == 0 for room in np.unique(label[inside]))
+    assert all(label_components(label == room).max() == 0 for room in np.unique(label[inside]))
     areas = np.bincount(label[inside], minlength=1) * cell_m**2
     for one, other in ((label[1:], label[:-1]), (label[:, 1:], label[:, :-1])):
         beside = (one >= 0) & (other >= 0) & (one != other)

@@ -10,7 +10,7 @@ from ref import maps, plans, rooms
 from skimage import morphology
 
 from jexplore.arrays import bits
-from jexplore.arrays.sparse import EIGHT_NEIGHBOURS
+from jexplore.arrays.groups import EIGHT_NEIGHBOURS
 from jexplore.distance import nearest_offset
 from jexplore.skeleton import graph, medial_axis, thin, voronoi_graph
 

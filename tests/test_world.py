@@ -16,9 +16,10 @@ from scipy import ndimage
 
 from jexplore.arrays.pictures import soft_colours
 from jexplore.config import InputError
+from jexplore.rooms.scores import label_components
 from jexplore.worlds import load_world
 from jexplore.worlds.bounds import MAX_SIDE
-from jexplore.worlds.starts import check_start, clear_of_walls, draw_starts, label_components, start_region
+from jexplore.worlds.starts import check_start, clear_of_walls, draw_starts, start_region
 from jexplore.worlds.world import World, occupancy_to_world, require_world, with_ring
 
 masks = hnp.arrays(bool, st.tuples(st.integers(1, 12), st.integers(1, 12)))

@@ -11,7 +11,40 @@ from jax import Array, lax
 
 from jexplore.arrays import bits
 from jexplore.arrays.loops import repeat
-from jexplore.arrays.sparse import EIGHT_NEIGHBOURS
+
+EIGHT_NEIGHBOURS = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, -1), (-1, 1))  # straight ones first
+
+
+@struct.dataclass
+class Cells:
+    """True cells of a mask in (row, col) order. K slots."""
+
+    cell: Array  # [K] int32, flat index (row * W + col); H * W in an unused slot
+    near: Array  # [K, 8] int32, slot of the neighbour in each direction of `EIGHT_NEIGHBOURS`; K for none
+    overflow: Array  # int32, cells that did not fit
+
+
+def list_cells(mask: Array, size: int) -> Cells:
+    """List the `Cells` of a mask, `[H, W]` bool, in K = `size` slots."""
+    height, width = mask.shape
+    none = height * width
+    words = bits.pack(mask)
+    cell = jnp.minimum(bits.first_cells(words, size), none)
+    slot = jnp.full((none,), size, jnp.int32).at[cell].set(lax.iota(jnp.int32, size), mode="drop")
+    row, col = cell // width, cell % width
+    near = []
+    for drow, dcol in EIGHT_NEIGHBOURS:
+        r, c = row + drow, col + dcol
+        inside = (r >= 0) & (r < height) & (c >= 0) & (c < width) & (cell < none)
+        near.append(jnp.where(inside, slot[jnp.clip(r, 0, height - 1) * width + jnp.clip(c, 0, width - 1)], size))
+    count = jnp.sum(lax.population_count(words).astype(jnp.int32))
+    return Cells(cell, jnp.stack(near, axis=1), jnp.maximum(count - size, 0))
+
+
+def at(array: Array, cell: Array, fill: float) -> Array:
+    """Return values of a map, or of a list, at listed places: of their shape; `fill` beyond the last."""
+    return array.reshape(-1).at[cell].get(mode="fill", fill_value=fill)
+
 
 PART = 256  # cells of a list that are worked on at a time
 

@@ -16,8 +16,7 @@ import numpy as np
 from jax import Array, lax
 
 from jexplore.arrays.loops import SHARE, put, run_if, take
-from jexplore.engine.devices import Device, compiled
-from jexplore.engine.draws import random_key
+from jexplore.engine.devices import Device, compiled, random_key
 from jexplore.engine.program import Given, Line, split
 
 LANES = 4096  # most lanes

@@ -14,8 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from jexplore.engine.devices import Device, compiled
-from jexplore.engine.draws import random_key
+from jexplore.engine.devices import Device, compiled, random_key
 from jexplore.engine.program import Given, Line, Program
 from jexplore.engine.threads import Pace, Pieces
 

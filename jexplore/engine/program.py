@@ -15,7 +15,7 @@ import numpy as np
 from flax import struct
 from jax import Array
 
-from jexplore.engine.draws import random_key
+from jexplore.engine.devices import random_key
 
 
 @struct.dataclass
@@ -73,30 +73,11 @@ class Program(NamedTuple):
         return ~(self.is_done(state) | self.waits(state))
 
 
-@dataclasses.dataclass
-class Line:
-    """Runs of one program in one scene that are wanted here, and what has come back."""
+class Runs:
+    """Runs that are wanted, and which of them have come back."""
 
-    program: Program
-    shared: Any
-    scene: Any
-    numbers: Any
-    seed: int
-    tasks: Any  # pytree of `[N, ...]` numpy arrays
     which: np.ndarray  # [n] int32, numbers of the runs that are to be made here; ascending
-    detailed: int = 0  # number of the run of which the detailed record is kept; where it is made, it is the first
-    draws: Any = None  # [N] int32, what makes a run's key, with the seed; by default its number
-    phase: int = 0  # lines of a later phase are begun when all of this one have been, where runs come one by one
-    trim: Callable[[Any, Any], Any] | None = None  # (result, record), numpy -> record of a run on the host
-    records: dict[int, Any] = dataclasses.field(default_factory=dict[int, Any], init=False)  # number -> `trim`'s result
-    results: Any = dataclasses.field(default=None, init=False)  # pytree of `[N, ...]` numpy arrays; zeros where unknown
-    finished: np.ndarray = dataclasses.field(init=False)  # [N] bool
-    detail: Any = dataclasses.field(default=None, init=False)  # of run `detailed`, numpy; None before
-
-    def __post_init__(self) -> None:
-        self.finished = np.zeros(len(jax.tree.leaves(self.tasks)[0]), bool)
-        self.which = np.asarray(self.which, np.int32)
-        self.draws = np.arange(len(self.finished), dtype=np.int32) if self.draws is None else self.draws
+    finished: np.ndarray  # [N] bool
 
     @property
     def n_finished(self) -> int:
@@ -107,6 +88,32 @@ class Line:
     def is_finished(self) -> bool:
         """Return whether all runs that are wanted here have come back."""
         return bool(self.finished[self.which].all())
+
+
+@dataclasses.dataclass
+class Line(Runs):
+    """Runs of one program in one scene that are wanted here, and what has come back."""
+
+    program: Program
+    shared: Any
+    scene: Any
+    numbers: Any
+    seed: int
+    tasks: Any  # pytree of `[N, ...]` numpy arrays
+    which: np.ndarray
+    detailed: int = 0  # number of the run of which the detailed record is kept; where it is made, it is the first
+    draws: Any = None  # [N] int32, what makes a run's key, with the seed; by default its number
+    phase: int = 0  # lines of a later phase are begun when all of this one have been, where runs come one by one
+    trim: Callable[[Any, Any], Any] | None = None  # (result, record), numpy -> record of a run on the host
+    records: dict[int, Any] = dataclasses.field(default_factory=dict[int, Any], init=False)  # number -> `trim`'s result
+    results: Any = dataclasses.field(default=None, init=False)  # pytree of `[N, ...]` numpy arrays; zeros where unknown
+    finished: np.ndarray = dataclasses.field(init=False)
+    detail: Any = dataclasses.field(default=None, init=False)  # of run `detailed`, numpy; None before
+
+    def __post_init__(self) -> None:
+        self.finished = np.zeros(len(jax.tree.leaves(self.tasks)[0]), bool)
+        self.which = np.asarray(self.which, np.int32)
+        self.draws = np.arange(len(self.finished), dtype=np.int32) if self.draws is None else self.draws
 
     def make_room(self, shapes: Any) -> None:
         """Allocate results with the shapes of `Program.measure`, if not done."""

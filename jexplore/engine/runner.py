@@ -5,12 +5,13 @@ threads share one compiled program, and XLA releases the interpreter lock. An ac
 once (`lanes`).
 """
 
+import abc
 import dataclasses
 import os
 import re
 import time
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import jax
 
@@ -19,7 +20,7 @@ from jexplore.engine.backend import start_backend
 from jexplore.engine.devices import Device
 from jexplore.engine.lanes import run_in_lanes
 from jexplore.engine.one_by_one import pieces_of
-from jexplore.engine.program import Line
+from jexplore.engine.program import Line, Runs
 from jexplore.engine.threads import Pieces, share_out
 
 _RAISED = re.compile(r'.*CpuCallback.*File "([^"]*)", line (\d+), in [^\n]*\n([^\n]*)', re.DOTALL)
@@ -56,26 +57,16 @@ def _joined(*lists: Iterable[str]) -> list[str]:
     return list(dict.fromkeys(one for own in lists for one in own))
 
 
-class OwnRuns(Protocol):
+class OwnRuns(Runs, abc.ABC):
     """Runs that make themselves, piece by piece, on the cores of a CPU: in native code."""
 
-    @property
-    def n_finished(self) -> int:
-        """Return how many runs have come back."""
-        ...
-
-    @property
-    def is_finished(self) -> bool:
-        """Return whether all runs that are wanted here have come back."""
-        ...
-
+    @abc.abstractmethod
     def pieces(self) -> Pieces:
         """Return the rest."""
-        ...
 
+    @abc.abstractmethod
     def give_up(self) -> None:
         """Make calls that are under way return soon."""
-        ...
 
 
 class Resources(NamedTuple):

@@ -1,5 +1,6 @@
 """Many exploration episodes: strategies in worlds, in native code where it can and in JAX, with equal results."""
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -115,7 +116,8 @@ def run_jobs(
     costs = run_all(runs, resources, on_progress, told, first=use_gpu)
     costs.engine, costs.why_not = engine, list(dict.fromkeys(why_not))
     for own, each in zip(wanted, runs):
-        if levels := _levels_of(each, resources):
+        levels = sorted(each.levels) if isinstance(each, NativeRun) else [level_of(each, resources)]
+        if each.n_finished:
             name = own.job.strategy.name
             costs.levels[name] = list(dict.fromkeys([*costs.levels.get(name, ()), *levels]))
     return Finished([_outcomes(own.job, each) for own, each in zip(wanted, runs)], costs)
@@ -137,13 +139,6 @@ def _want(job: Job, lidar: Lidar, rules: Rules, only: int | None) -> _Wanted:
     job = job._replace(starts=starts)
     which = np.arange(len(job.starts)) if only is None else np.array([only])
     return _Wanted(job, job.lidar or lidar, job.rules or rules, which, only or (0 if job.first == 0 else NO_RUN))
-
-
-def _levels_of(work: NativeRun | Line, resources: Resources) -> list[str]:
-    """Name what has run some of the episodes of a job."""
-    if isinstance(work, NativeRun):
-        return sorted(work.levels)
-    return [level_of(work, resources)] if work.n_finished else []
 
 
 def _native_runs(wanted: Sequence[_Wanted], keep: str | None, why_not: list[str]) -> dict[int, NativeRun]:
@@ -210,22 +205,15 @@ def _lines(
         if job.team is None:
             line = line_of(sites[place], fitted[key], job.starts, job.seed, which, detailed=detailed, keep=keep)
         else:
-            starts = _team_starts(job, rules)
+            near = {"clearance_m": rules.clearance_m, "near_m": rules.near_m}
+            each = functools.cache(
+                functools.partial(place_team, job.world, n=job.team.robots, starts=job.team.starts, **near)
+            )
+            starts = np.stack([each(tuple(start)) for start in job.starts.tolist()])
             line = team_line(sites[place], fitted[key], job.team, lidar, starts, job.seed, which, detailed)
         line.draws, line.phase = line.draws + np.int32(job.first), job.phase
         lines[i] = line
     return lines
-
-
-def _team_starts(job: Job, rules: Rules) -> np.ndarray:
-    """Return where the robots of a team start in each episode: `[N, robots, 3]` int32."""
-    assert job.team is not None
-    near = {"clearance_m": rules.clearance_m, "near_m": rules.near_m}
-    made = {
-        start: place_team(job.world, start, job.team.robots, job.team.starts, **near)
-        for start in dict.fromkeys(map(tuple, job.starts.tolist()))
-    }
-    return np.stack([made[tuple(start)] for start in job.starts.tolist()])
 
 
 def _outcomes(job: Job, work: NativeRun | Line) -> Outcomes:

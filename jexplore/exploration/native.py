@@ -9,14 +9,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jexplore.engine.runner import OwnRuns
 from jexplore.engine.threads import Pieces
 from jexplore.exploration.motion import clock_table
 from jexplore.exploration.site import ROBOT, regions_of, rule_numbers, tasks_of
 from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result
 from jexplore.exploration.trail import Final, Record, decode, record_of
 from jexplore.native import episodes, gpu
-from jexplore.native.beams import trace_beams
 from jexplore.native.build import warn_once
+from jexplore.native.episodes import trace_beams
 from jexplore.policies.closest import is_nearest
 from jexplore.policies.policy import Strategy
 from jexplore.policies.uniform import is_uniform
@@ -110,21 +111,21 @@ def result_of(table: np.ndarray) -> Result:
 
 
 @dataclasses.dataclass
-class NativeRun:
+class NativeRun(OwnRuns):
     """Episodes of one strategy in one world, and what has come back; like `engine.program.Line`."""
 
     place: NativePlace
     starts: np.ndarray  # [N, 3] int, row, col, heading_deg
     seed: int
     first: int  # number of the first of these episodes
-    which: np.ndarray  # [n] int, those that are to be run, ascending
+    which: np.ndarray
     detailed: int = -1  # number of the one of which map and way are kept whole
     keep: str | None = None  # one of `trail.RECORDS`
     phase: int = 0
-    n_finished: int = 0  # episodes that have come back
     records: dict[int, Record] = dataclasses.field(default_factory=dict[int, Record])
     final: Final | None = None
     levels: set[str] = dataclasses.field(default_factory=set[str])  # what has run some of them: `ON_GPU`, `ON_CPU`
+    finished: np.ndarray = dataclasses.field(init=False)
     table: np.ndarray = dataclasses.field(init=False)  # [N, RESULT] int32
     tasks: np.ndarray = dataclasses.field(init=False)
     stop: np.ndarray = dataclasses.field(init=False)  # [1] int32; not 0: the rest is given up
@@ -132,6 +133,7 @@ class NativeRun:
     def __post_init__(self) -> None:
         n = len(self.starts)
         self.table, self.stop = np.zeros((n, episodes.RESULT), np.int32), np.zeros(1, np.int32)
+        self.finished = np.zeros(n, bool)
         starts = tasks_of(self.starts, self.place.ring)
         self.tasks = self.place.inner.tasks(starts, self.seed, np.arange(n, dtype=np.int32) + self.first)
 
@@ -143,12 +145,7 @@ class NativeRun:
     @property
     def left(self) -> np.ndarray:
         """Return `[m]` int, numbers of the episodes that have not come back."""
-        return self.which[self.table[self.which, _OUTCOME] == Outcome.RUNNING]
-
-    @property
-    def is_finished(self) -> bool:
-        """Return whether all episodes have come back."""
-        return self.n_finished == len(self.which)
+        return self.which[~self.finished[self.which]]
 
     def pieces(self) -> Pieces:
         """Return the episodes that have not come back, for `threads.share_out`."""
@@ -181,7 +178,7 @@ class NativeRun:
         if ended.any():
             self.levels.add(level)
         self.table[numbers[ended]] = found.results[ended]
-        self.n_finished += int(ended.sum())
+        self.finished[numbers[ended]] = True
         if found.paths is None:  # not asked for, or all given up
             return
         ring, shape = self.place.ring, self.place.inner.shape

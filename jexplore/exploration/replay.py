@@ -1,7 +1,7 @@
 """An episode once more, scan by scan, by the environment's own rules with the choices that it recorded."""
 
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
-from jexplore.engine.draws import pinned_draws
+from jexplore.engine.devices import pinned_draws
 from jexplore.engine.program import Given, given_of
 from jexplore.exploration import environment
 from jexplore.exploration.site import Site, line_of
@@ -45,7 +45,10 @@ def _commit(
     return environment.commit(setup, given, state, Choice(row, col, cost, is_view=is_view), route)
 
 
-def moments(site: Site, strategy: Strategy, start: ArrayLike, seed: int, number: int, plans: Any) -> Iterator[Moment]:
+def moments(
+    site: Site, strategy: Strategy, start: ArrayLike, seed: int, number: int, plans: Any,
+    on_plan: Callable[[Belief, Plan], object] = lambda belief, plan: None,
+) -> Iterator[Moment]:  # fmt: skip
     """Yield every scan of an episode, first that after the scans at the start.
 
     Args:
@@ -54,45 +57,20 @@ def moments(site: Site, strategy: Strategy, start: ArrayLike, seed: int, number:
       start: row, col, heading in degrees.
       seed, number: of the run, and of the episode in it.
       plans: list of `trail.Plan`.
+      on_plan: called with the belief in which a plan was made, and the plan, that which ended the episode included.
     """
-    for plan in replayed_plans(site, strategy, start, seed, number, plans):
-        yield from plan.moments
-
-
-class ReplayedPlan(NamedTuple):
-    """A plan: the belief in which it was made, and the scans that it led to."""
-
-    belief: Belief | None  # None: before the first plan
-    plan: Plan | None
-    moments: Iterator[Moment]
-
-
-def replayed_plans(
-    site: Site, strategy: Strategy, start: ArrayLike, seed: int, number: int, plans: Any
-) -> Iterator[ReplayedPlan]:
-    """Yield the plans of an episode, that which ended it included; arguments as for `moments`.
-
-    Yields:
-      `ReplayedPlan`s, whose moments must be taken before the next is.
-    """
-    line = line_of(
-        site, site.with_strategy(strategy), np.tile(np.asarray(start, np.int32), (number + 1, 1)), seed, [number]
-    )
+    starts = np.tile(np.asarray(start, np.int32), (number + 1, 1))
+    line = line_of(site, site.with_strategy(strategy), starts, seed, [number])
     given, setup = jax.device_put(given_of(line, number)), line.program.setup
     state = _begin(setup, given)
-    yield ReplayedPlan(None, None, iter([_moment(state, state, site.ring)]))
-
-    def carried_out() -> Iterator[Moment]:
-        nonlocal state
+    yield _moment(state, state, site.ring)
+    for plan in plans:
+        on_plan(state.belief, plan)
+        target, route = np.array(target_of(plan, site.ring), np.int32), _route(state, plan.motions)
+        state = _commit(setup, given, state, *target, np.bool_(plan.is_view), plan.is_bad, route)
         while state.plan_active:
             before, state = state, _advance(setup, given, state)
             yield _moment(before, state, site.ring)
-
-    for plan in plans:
-        belief, route = state.belief, _route(state, plan.motions)
-        target = np.array(target_of(plan, site.ring), np.int32)
-        state = _commit(setup, given, state, *target, np.bool_(plan.is_view), plan.is_bad, route)
-        yield ReplayedPlan(belief, plan, carried_out())
 
 
 def target_of(plan: Plan, ring: int) -> tuple[int, int]:

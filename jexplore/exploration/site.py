@@ -26,7 +26,7 @@ from jexplore.native.build import Library
 from jexplore.native.drive import find_target
 from jexplore.planning import MapModel
 from jexplore.policies.catalogue import adapt
-from jexplore.policies.policy import Policy, Strategy
+from jexplore.policies.policy import Strategy
 from jexplore.raycast import (
     HEADINGS,
     Beams,
@@ -74,26 +74,16 @@ class Site(NamedTuple):
 
     def with_strategy(self, strategy: Strategy) -> tuple[Setup, Numbers]:
         """Return the `Setup` and the `Numbers` of a strategy here: `(setup, numbers)`."""
-        params = _numbers(strategy)
+        policy = strategy.policy
+        try:
+            params = jax.tree.map(number, policy.params)
+        except (TypeError, ValueError):
+            raise InputError(f"{strategy.name}: params of a Policy must be numbers and arrays") from None
         numbers = self.numbers.replace(recheck=np.bool_(strategy.recheck), params=params)
-        return self.setup._replace(policy=_traced(self, strategy, numbers)._replace(params=())), numbers
-
-
-def _numbers(strategy: Strategy) -> Any:
-    """Convert a strategy's parameters to arrays."""
-    try:
-        return jax.tree.map(number, strategy.policy.params)
-    except (TypeError, ValueError):
-        raise InputError(f"{strategy.name}: params of a Policy must be numbers and arrays") from None
-
-
-def _traced(site: Site, strategy: Strategy, numbers: Numbers) -> Policy:
-    """Return the policy of a strategy; a user's is traced here, and refused if its result is wrong."""
-    if not adapt.is_theirs(strategy.policy):
-        return strategy.policy
-    _, belief, _ = _example(site, numbers)
-    route = jax.ShapeDtypeStruct(site.truth.occupied.shape, np.int8)
-    return adapt.traced_policy(strategy.policy, numbers.params, belief, site.beams, route)
+        if adapt.is_theirs(policy):  # traced here, and refused if its result is wrong
+            route = jax.ShapeDtypeStruct(self.truth.occupied.shape, np.int8)
+            policy = adapt.traced_policy(policy, params, _example(self, numbers)[1], self.beams, route)
+        return self.setup._replace(policy=policy._replace(params=())), numbers
 
 
 def _example(site: Site, numbers: Numbers) -> tuple[Given, Any, Any]:
@@ -200,13 +190,13 @@ def _unsure_numbers(lidar: Lidar, rules: Rules, cell_m: float, robot: Robot) -> 
 def unify_truths(truths: Sequence[Truth]) -> list[Truth]:
     """Return records of worlds with the same arrays: what one of them restricts is unrestricted in the others."""
     free: dict[str, Any] = {"within": True, "prior": np.int8(-1)}
-    for name, value in free.items():
-        if any(getattr(truth, name) is not None for truth in truths):
-            truths = [
-                truth.replace(**{name: np.full(truth.occupied.shape, value)}) if getattr(truth, name) is None else truth
-                for truth in truths
-            ]
-    return list(truths)
+    free = {name: value for name, value in free.items() if any(getattr(one, name) is not None for one in truths)}
+
+    def unified(truth: Truth) -> Truth:
+        missing = {name: value for name, value in free.items() if getattr(truth, name) is None}
+        return truth.replace(**{name: np.full(truth.occupied.shape, value) for name, value in missing.items()})
+
+    return list(map(unified, truths))
 
 
 def rule_numbers(world: World, lidar: Lidar, rules: Rules) -> dict[str, Any]:
@@ -221,7 +211,7 @@ def rule_numbers(world: World, lidar: Lidar, rules: Rules) -> dict[str, Any]:
         "clearance_d2": reach_d2(rules.clearance_m, world),
         "near_d2": reach_d2(rules.near_m, world),
         "arrival_d2": reach_d2(rules.arrival_m, world),
-        "scan_every": cost_of(rules.scan_every_m, world.cell_m),
+        "scan_every": round(min(in_cells(rules.scan_every_m, world.cell_m) * reach.STRAIGHT, reach.FAR)),
         "max_steps": rules.max_steps or limit,
         "max_plans": rules.max_plans or limit,
         "look_around": bool(rules.look_around),
@@ -239,11 +229,6 @@ def limited(limit: float | None, scale: float, whole: Callable[[float], int]) ->
     """Convert a limit to whole units; `NEVER` for none, or one that an int32 does not hold."""
     most = NEVER - max(LENGTHS)
     return NEVER if limit is None or limit * scale > most else whole(round(limit * scale, 6))
-
-
-def cost_of(length_m: float, cell_m: float) -> int:
-    """Convert a length to a cost of `reach`, rounded; at most FAR."""
-    return round(min(in_cells(length_m, cell_m) * reach.STRAIGHT, reach.FAR))
 
 
 def reach_d2(radius_m: float, world: World) -> int:

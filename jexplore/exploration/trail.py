@@ -106,16 +106,15 @@ def detail_of(state: State) -> tuple[Array, ...]:
     return state.belief.grid.hits, state.belief.grid.misses, state.trail, state.choices, state.bumped, *poses
 
 
-def _steps(state: State) -> tuple[Array, ...]:
-    return (state.trail,)
-
-
 def _steps_and_map(state: State) -> tuple[Array, ...]:
     grid, p_free = state.belief.grid, state.belief.model.p_free
     return state.trail, (is_free(grid, p_free) + 2 * is_occupied(grid, p_free)).astype(jnp.uint8)
 
 
-RECORDS: dict[str, Callable[[State], tuple[Array, ...]]] = {"paths": _steps, "maps": _steps_and_map}
+RECORDS: dict[str, Callable[[State], tuple[Array, ...]]] = {
+    "paths": lambda state: (state.trail,),
+    "maps": _steps_and_map,
+}
 """Possible records of every episode: its way; its way and its last map."""
 
 

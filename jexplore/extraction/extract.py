@@ -12,14 +12,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jexplore.arrays.padding import framed
+from jexplore.arrays.padding import framed, within
 from jexplore.config import InputError, require_number
 from jexplore.extraction.lines import Lines, connected_cells, lines_of, take_corners
 from jexplore.extraction.passages import SEARCH, PlaceDraft, places_and_passages
 from jexplore.grid import centre_of, in_cells
+from jexplore.rooms.scores import label_components
 from jexplore.rooms.watershed import CLUTTER_M, clutter
 from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link, Node
-from jexplore.worlds.starts import label_components
 
 _UNSEARCHED, _SEARCHED = STATUS
 _looked_through = jax.jit(clutter, static_argnames="edges")
@@ -103,7 +103,10 @@ def _checked(free, known, cell_m, start_rc, trail, width_m, open_m, clutter_m):
         if not (0 <= row < free.shape[0] and 0 <= col < free.shape[1]) or not free[row, col]:
             raise InputError(f"{name}: cell ({row}, {col}) is not a free cell of the map")
     open_, _ = open_cells(known & ~free, known, in_cells(width_m, cell_m))
-    open_ |= _clutter(open_, in_cells(clutter_m, cell_m))
+    padded = framed(open_)
+    mask, overflow = _looked_through(jnp.asarray(padded), jnp.float32(in_cells(clutter_m, cell_m)), edges=padded.size)
+    assert not overflow
+    open_ |= within(np.asarray(mask), free.shape, 1)
     return open_, known & ~free & ~open_, ends
 
 
@@ -112,14 +115,6 @@ def open_cells(occupied: np.ndarray, known: np.ndarray, width: float) -> tuple[n
     patches = label_components(~known)
     small = np.bincount(patches[patches >= 0], minlength=1) < max(width, 1) ** 2
     return (known & ~occupied) | ((patches >= 0) & small[patches]), known & occupied
-
-
-def _clutter(free, size):
-    height, width = free.shape
-    padded = framed(free)
-    mask, overflow = _looked_through(jnp.asarray(padded), jnp.float32(size), edges=padded.size)
-    assert not overflow
-    return np.asarray(mask)[1 : height + 1, 1 : width + 1]
 
 
 def _counts(lines, cell):
@@ -176,10 +171,8 @@ def _numbered(places, ways, first, lines, cell_m, origin_m):
         entry = bearing[came[0], not came[1]] if came else 0.0
         out = sorted(leaving[key], key=lambda end: ((bearing[end] - entry - 1e-6) % 360, end[1]))
         stack += [(ways[n].start if last else ways[n].end, (n, last)) for n, last in reversed(out) if n not in links]
-    nodes = []
-    for key in number:
-        x_m, y_m = centre_of(places[key].row, places[key].col, cell_m=cell_m, origin_m=origin_m)
-        nodes.append(Node(len(nodes), float(x_m), float(y_m), places[key].type))
+    at = [centre_of(places[key].row, places[key].col, cell_m=cell_m, origin_m=origin_m) for key in number]
+    nodes = (Node(i, float(at[i][0]), float(at[i][1]), places[key].type) for i, key in enumerate(number))
     records = []
     for n, last in links.items():
         start, end = (number.get(key, NOWHERE) for key in (ways[n].start, ways[n].end))

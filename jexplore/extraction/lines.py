@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jexplore.arrays.groups import EIGHT_NEIGHBOURS
 from jexplore.arrays.padding import bucket
-from jexplore.arrays.sparse import EIGHT_NEIGHBOURS
 from jexplore.skeleton import voronoi_graph
 
 CORNER_DEG = 40.0

@@ -14,7 +14,7 @@ from jax import Array, lax
 
 from jexplore.arrays.loops import alone_on_cpu, run_if
 from jexplore.config import InputError, require_whole
-from jexplore.engine.draws import random_key
+from jexplore.engine.devices import random_key
 from jexplore.exploration.environment import outcome_of
 from jexplore.exploration.state import Outcome
 from jexplore.learn.bank import FAILED, REFERENCE, Bank

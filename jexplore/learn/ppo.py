@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 
 from jexplore.config import InputError
-from jexplore.engine.draws import pinned_draws, random_key
+from jexplore.engine.devices import pinned_draws, random_key
 from jexplore.engine.runner import find_resources
 from jexplore.learn.bank import Bank
 from jexplore.learn.decisions import Decisions

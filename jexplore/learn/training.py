@@ -17,7 +17,7 @@ import pandas as pd
 
 from jexplore.config import InputError, __version__, checked_names, require_setting
 from jexplore.engine.backend import use_compilation_cache
-from jexplore.engine.draws import pinned_draws, random_key
+from jexplore.engine.devices import pinned_draws, random_key
 from jexplore.learn import es, ppo
 from jexplore.learn.bank import FAILED, TRAINING, VALIDATION, Bank, prepare_bank
 from jexplore.learn.settings import require_names_apart, require_rounds, trainer_settings

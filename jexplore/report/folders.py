@@ -29,7 +29,7 @@ OUR_FILES = (
     *("scores.parquet", "segments.png"),  # segment
     *("trajectory.txt", "map.yaml", "map.pgm", "slam.png", "errors.parquet"),  # slam
     *("asked.yaml", "summary.csv", "sweep.png", "sweep.svg"),  # sweep
-    *("btm.json", "btm.geojson", "btm.png", "btm.html", "runs.parquet"),  # trace
+    *("btm.json", "btm.png", "btm.html", "runs.parquet"),  # trace
     *("station.html", "teams.parquet", "contacts.parquet", "team.png"),  # trace --robots
     *(f"robot-{i}.json" for i in range(16)),
     *("route.json", "route.png"),  # route

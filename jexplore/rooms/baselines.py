@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from jexplore.arrays import bits
 from jexplore.reach import nearest_source
-from jexplore.rooms.scores import components
+from jexplore.rooms.scores import label_components
 from jexplore.rooms.watershed import SMALLEST_ROOM_M2
 
 SEEDS = 4096  # at most
@@ -45,7 +45,7 @@ def grown(seeds: np.ndarray, inside: np.ndarray) -> np.ndarray:
 
 def _parts(mask, cell_m):
     """Label components: `(parts, area_m2)`: `[H, W]` int32, from 1, 0 elsewhere; areas by number, 0 for 0."""
-    parts = components(mask) + 1
+    parts = label_components(mask) + 1
     area_m2 = np.bincount(parts.ravel()) * cell_m**2
     area_m2[0] = 0
     return parts, area_m2

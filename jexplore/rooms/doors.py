@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from jexplore.rooms.scores import components
+from jexplore.rooms.scores import label_components
 
 DOOR_NEAR_M = 0.5  # a door is found if two rooms touch so close to its middle
 
@@ -56,7 +56,7 @@ def touching(label: np.ndarray) -> list[np.ndarray]:
         low = own.min(axis=0)
         mask = np.zeros(own.max(axis=0) - low + 1, bool)
         mask[tuple((own - low).T)] = True
-        parts = components(mask, corners=True)
+        parts = label_components(mask, corners=True)
         pieces += [np.argwhere(parts == k) + low for k in range(parts.max() + 1)]
     return pieces
 

@@ -20,8 +20,12 @@ def _numbered(labels, *, min_px=0):
     return number[index].reshape(labels.shape)
 
 
-def components(mask: np.ndarray, *, corners: bool = False) -> np.ndarray:
-    """Label components of a mask, 4-connected, or 8-connected by `corners`: `[H, W]` int32 from 0; -1 elsewhere."""
+def label_components(mask: np.ndarray, *, corners: bool = False) -> np.ndarray:
+    """Label components of a mask, 4-connected, or 8-connected by `corners`: `[H, W]` int32, -1 elsewhere.
+
+    They count from 0 in the order of their lowest flat indices. A robot's diagonal step needs both orthogonal
+    neighbours: what it reaches in 8 directions is a 4-connected component.
+    """
     parts = np.zeros(mask.shape, dtype=np.int32)
     ndimage.label(mask, np.ones((3, 3)) if corners else None, output=parts)
     return parts - 1
@@ -39,7 +43,7 @@ def rooms_of(free: ArrayLike, *, min_px: int = 100) -> np.ndarray:
     A room is a 4-connected component of more than `min_px` free pixels, by default 0.25 m2 at 0.05 m a pixel. `[H, W]`
     int32: rooms 0..n-1, in the order of their first pixels by row and column; -1 elsewhere.
     """
-    return _numbered(components(np.asarray(free, dtype=bool)), min_px=min_px)
+    return _numbered(label_components(np.asarray(free, dtype=bool)), min_px=min_px)
 
 
 def scored_regions(labels: ArrayLike, free: ArrayLike, *, min_px: int = 100) -> np.ndarray:
@@ -52,7 +56,7 @@ def scored_regions(labels: ArrayLike, free: ArrayLike, *, min_px: int = 100) -> 
     labels, free = np.asarray(labels), np.asarray(free, dtype=bool)
     _same_size("the labels", labels, "the free mask", free)
     labels = _numbered(np.where(free, labels, -1))
-    bare = components(free & (labels < 0))
+    bare = label_components(free & (labels < 0))
     return _numbered(np.where(bare >= 0, labels.max(initial=-1) + 1 + bare, labels), min_px=min_px)
 
 

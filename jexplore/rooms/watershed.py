@@ -14,7 +14,7 @@ import numpy as np
 from flax import struct
 from jax import Array, lax
 
-from jexplore.arrays import bits, groups, sparse
+from jexplore.arrays import bits, groups
 from jexplore.arrays.loops import settled
 from jexplore.distance import nearest_offset
 from jexplore.grid import any_within_one, any_within_one_packed, beside, bordered, count
@@ -146,7 +146,7 @@ def peaks(d2: Array, inside: Array) -> Array:
     height = jnp.sqrt(d2.astype(jnp.float32))
     heights, open_ = bordered(jnp.where(inside, height, -1.0), -1.0), bordered(inside, False)
     best, up = jnp.zeros(shape, jnp.float32), own
-    for drow, dcol in sparse.EIGHT_NEIGHBOURS:
+    for drow, dcol in groups.EIGHT_NEIGHBOURS:
         # A straight step before a diagonal one to the same height: along a straight wall nobody drifts aside.
         step = 1.0 if 0 in (drow, dcol) else math.sqrt(0.5)
         slope = (beside(heights, drow, dcol) - height) * jnp.float32(step)
@@ -202,11 +202,11 @@ def _passes(basin, d2, tops, n, size, narrowing):
             there = jnp.where(beside(pairs, *aside) == beside(pairs, 0, 0), beside(lows, *aside), -1)
             widest &= (there <= low) if aside > (0, 0) else (there < low)
         cell = bits.first_cells(bits.pack(widest), size)
-        lows = sparse.at(low, cell, 0)
+        lows = groups.at(low, cell, 0)
         narrow = jnp.zeros((size,), bool)
         if narrowing is not None:
             narrow = _is_narrow(jnp.where(basin < n, d2, 0), cell, lows, step, narrowing)
-        found.append(_Passes(sparse.at(basin, cell, n), sparse.at(other, cell, n), lows, narrow))
+        found.append(_Passes(groups.at(basin, cell, n), groups.at(other, cell, n), lows, narrow))
         most = jnp.maximum(most, count(widest))
     passes = _Passes(*map(jnp.concatenate, zip(*found)))
     ends = tops[passes.one], tops[passes.other]
@@ -309,7 +309,7 @@ def watershed(free: Array, unknown: Array, criteria: RoomCriteria, *, form: Room
     slot = bits.first_cells(bits.pack(is_peak), n)
     number = jnp.full((cells,), n, jnp.int32).at[slot].set(lax.iota(jnp.int32, n), mode="drop")
     basin = jnp.where(inside, number[peak], n)
-    tops = jnp.append(sparse.at(d2, slot, 0), 0)
+    tops = jnp.append(groups.at(d2, slot, 0), 0)
     passes, n_passes = _passes(basin, d2, tops, n, form.passes, criteria.narrowing)
     each = jax.ops.segment_sum(free.astype(jnp.int32).reshape(-1), basin.reshape(-1), n + 1)
     room = _joined(passes, tops, criteria.ratio)

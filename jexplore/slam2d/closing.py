@@ -62,7 +62,7 @@ def verify(
       guess: `[3]` float32; the pose is looked for in `window` round it and does not depend on it otherwise.
 
     Returns:
-      `(match, found)`: the pose with its information; the search, whose `other` tells how well another place fits.
+      `(match, found)`: the pose; the search, whose `other` tells how well another place fits.
     """
     scan = read_scan(settings, ranges_m, *scanner)
     points = map_of(settings, keys, scanner, empty_map(SHAPE, guess[:2] / 2, native))

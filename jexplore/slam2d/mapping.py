@@ -96,7 +96,7 @@ def begin(
 ) -> Mapping:  # fmt: skip
     """Return the record after a first scan `[B]` from a pose; see `blank`."""
     mapping = blank(sizes, len(ranges_m), pose, centre)
-    found = Match(mapping.pose, jnp.zeros((3, 3)), jnp.zeros((3, 3)), mapping.place.fitness, mapping.place.outcome)
+    found = Match(mapping.pose, jnp.zeros((3, 3)), mapping.place.fitness, mapping.place.outcome)
     return enter(settings, mapping, ranges_m, read_scan(settings, ranges_m, *scanner), found)[0]
 
 

@@ -33,7 +33,6 @@ class Match(NamedTuple):
 
     pose: Array  # [3] float32; the start for `FAR` and `FEW`
     covariance: Array  # [3, 3] float32, m^2, m rad, rad^2, in the map's frame; that of the odometry for these two
-    information: Array  # [3, 3] float32, of the scan alone
     fitness: Array  # float32, share of the scan's points that lie on the map, 0 to 1
     outcome: Array  # int32, an `Outcome`
 
@@ -169,7 +168,6 @@ def match(
     return Match(
         jnp.where(kept, found.pose, start),
         jnp.where(kept, inverted(matrix + known), prior),
-        jnp.where(kept, matrix, 0),
         n / jnp.maximum(jnp.sum(scan.valid), 1),
         jnp.asarray(outcome, jnp.int32),
     )

@@ -32,7 +32,6 @@ class Found(NamedTuple):
     pose: Array  # [3] float32
     cost: Array  # float32, mean of the points' costs, 0 to `search_cap`
     other: Array  # float32, the least cost found more than a block or two turns away
-    is_best: Array  # bool, no pose of the window costs less
 
 
 def step_cost(settings: SlamSettings) -> Array:
@@ -72,8 +71,7 @@ def search(settings: SlamSettings, points: PointMap, scan: Scan, start: Array, p
       start, prior: guess `[3]` and covariance `[3, 3]`.
 
     Source:
-      Olson, Real-time correlative scan matching (2009). Changed: a fixed number of coarse steps is searched finely;
-      `is_best` tells whether they sufficed.
+      Olson, Real-time correlative scan matching (2009). Changed: a fixed number of coarse steps is searched finely.
     """
     at = cells_of(settings, points, start[0], start[1])
     row, col = (jnp.floor(a).astype(jnp.int32) for a in at)
@@ -111,7 +109,7 @@ def search(settings: SlamSettings, points: PointMap, scan: Scan, start: Array, p
     apart = jnp.any(jnp.abs(steps - steps[best]) > jnp.array([BLOCK, BLOCK, 2]), axis=1)
     pose = start + steps[best] * jnp.stack([edge_m, edge_m, turn]).astype(jnp.float32)
     others = jnp.where(apart, costs, -least[-1])
-    return Found(pose.at[2].set(wrapped(pose[2])), costs[best], jnp.min(others), costs[best] <= -least[-1])
+    return Found(pose.at[2].set(wrapped(pose[2])), costs[best], jnp.min(others))
 
 
 def _coarse(settings, points, scan, cells, row, col, window):

@@ -14,7 +14,7 @@ from jax import Array
 from jexplore.arrays.padding import bucket, number
 from jexplore.config import InputError, checked_names, require_number, shown
 from jexplore.engine.backend import use_compilation_cache
-from jexplore.engine.draws import pinned_draws, random_key
+from jexplore.engine.devices import pinned_draws, random_key
 from jexplore.engine.runner import find_resources
 from jexplore.exploration.site import COARSE_M, drive_for
 from jexplore.grid import Grid, centre_of, radius_d2

@@ -25,10 +25,10 @@ from scipy import ndimage
 from jexplore import segment
 from jexplore.config import require_number
 from jexplore.report.tables import aligned_table, number_text
-from jexplore.rooms.scores import scored_regions
+from jexplore.rooms.scores import label_components, scored_regions
 from jexplore.studies.room_variants import segmented
 from jexplore.studies.segmentation import MIN_SCORED_M2
-from jexplore.worlds.starts import clear_of_walls, label_components
+from jexplore.worlds.starts import clear_of_walls
 from jexplore.worlds.world import World, with_ring
 
 WALL_LENGTH_M = 1.25  # an obstacle longer than this, its boundary than 2.5 m, is a wall; a shorter one an island

@@ -14,7 +14,6 @@ VERSION = (1, 1)  # the first number changes where an older reader would go wron
 MAX_MAP_BYTES = 2**26  # of a file that is read: that of a hundred thousand nodes and links
 WANTED = "give the btm.json that `jexplore trace` writes"
 OTHER_FILES = {
-    "features": "GeoJSON, such as the route graph for Nav2",
     "command": "the record of a run",
     "is_found": "a route, the result of `jexplore route`",
 }
@@ -31,18 +30,12 @@ def to_json(btm: BtmMap) -> dict[str, Any]:
       InputError: the map is not a proper one; see `record.check_map`.
     """
     btm = check_map(btm)
-    nodes = []
-    for node in btm.nodes:
-        angles, item = btm.angles_deg(node.id), dict(vars(node))
-        attributes = item.pop("attributes")
-        nodes.append({**item, "links": len(angles), "angles_deg": angles, "attributes": attributes})
-    return {
-        "format": MAP_FORMAT,
-        "version": list(VERSION),
-        "attributes": btm.attributes,
-        "nodes": nodes,
-        "links": [dict(vars(link)) for link in btm.links],
-    }
+    nodes = [dict(vars(node)) for node in btm.nodes]
+    for node in nodes:
+        attributes, angles = node.pop("attributes"), btm.angles_deg(node["id"])
+        node |= {"links": len(angles), "angles_deg": angles, "attributes": attributes}
+    head = {"format": MAP_FORMAT, "version": list(VERSION), "attributes": btm.attributes}
+    return {**head, "nodes": nodes, "links": [dict(vars(link)) for link in btm.links]}
 
 
 @checked_names

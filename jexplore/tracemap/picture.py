@@ -90,5 +90,5 @@ def _free_side(btm, node):
     def off(angle):
         return min((abs((angle - bearing + 180) % 360 - 180) for bearing in links), default=180.0)
 
-    best = max((90, 45, 135, 0, 180, 315, 225, 270), key=lambda angle: min(round(off(angle)), 45))
-    return math.cos(math.radians(best)), math.sin(math.radians(best))
+    best = math.radians(max((90, 45, 135, 0, 180, 315, 225, 270), key=lambda angle: min(round(off(angle)), 45)))
+    return math.cos(best), math.sin(best)

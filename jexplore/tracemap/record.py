@@ -111,16 +111,18 @@ class BtmMap:
 
     def bearings_deg(self, node_id: int) -> list[float]:
         """Return bearings of a node's links: sorted list, degrees in [0, 360). A link to itself counts twice."""
-        return sorted(self._bearings_deg[node_id])
+        return [bearing for bearing, *_ in self.ends[node_id]]
 
     @functools.cached_property
-    def _bearings_deg(self):
-        """Return node -> bearings of its links."""
+    def ends(self) -> Mapping[int, list[tuple[float, int, int, Link]]]:
+        """Return ends of links by node, counter-clockwise: `(bearing, id, 0 at the start of the link or 1, link)`."""
         found = collections.defaultdict(list)
         for link in self.links:
-            for node, bearing in ((link.start, link.start_bearing_deg), (link.end, link.end_bearing_deg)):
-                if bearing is not None:
-                    found[node].append(direction_deg(bearing))
+            found[link.start].append((direction_deg(link.start_bearing_deg), link.id, 0, link))
+            if link.end_bearing_deg is not None:
+                found[link.end].append((direction_deg(link.end_bearing_deg), link.id, 1, link))
+        for ends in found.values():
+            ends.sort(key=lambda end: end[:3])
         return found
 
     def angles_deg(self, node_id: int) -> list[float]:

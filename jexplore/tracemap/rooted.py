@@ -3,6 +3,7 @@
 import dataclasses
 import heapq
 import math
+from typing import Any
 
 from jexplore.config import InputError
 from jexplore.tracemap.record import NOWHERE, BtmMap, Node, direction_deg
@@ -29,10 +30,11 @@ def topology_from(topology: BtmMap, pose: tuple[float, float, float]) -> BtmMap:
     nodes, links = _without_start(topology)
     nearest = min(links, key=lambda link: (_distance_m(nodes, link, pose), link.id))
     root = Node(max(nodes) + 1, float(pose[0]), float(pose[1]), "terminal")
-    free = max(link.id for link in links) + 1
-    parts = _split(nodes[nearest.start], nearest, root, free)
+    parts = _split(nodes[nearest.start], nearest, root, max(link.id for link in links) + 1)
+    turn = math.radians(nearest.start_bearing_deg - pose[2])
+    onward = math.cos(turn) if abs(math.cos(turn)) > _SQUARE else math.sin(turn)
     rest = [link for link in links if link is not nearest]
-    return _in_order({**nodes, root.id: root}, [*rest, *parts], root.id, _ahead(nearest, pose[2], parts))
+    return _in_order({**nodes, root.id: root}, [*rest, *parts], root.id, parts[onward > 0])
 
 
 def _without_start(topology):
@@ -41,18 +43,11 @@ def _without_start(topology):
     ends = [link for link in topology.links if first.id in (link.start, link.end)]
     if first.type != "terminal" or len(ends) != 2:
         return {node.id: node for node in topology.nodes}, list(topology.links)
-    one, two = (
-        ends[0] if ends[0].end == first.id else _turned(ends[0]),
-        ends[1] if ends[1].start == first.id else _turned(ends[1]),
-    )
+    one = ends[0] if ends[0].end == first.id else _turned(ends[0])
+    two = ends[1] if ends[1].start == first.id else _turned(ends[1])
     widths = [link.min_width_m for link in ends if link.min_width_m is not None]
-    joined = dataclasses.replace(
-        one,
-        end=two.end,
-        end_bearing_deg=two.end_bearing_deg,
-        length_m=round(one.length_m + two.length_m, 9),
-        min_width_m=min(widths, default=None),
-    )
+    whole = {"length_m": round(one.length_m + two.length_m, 9), "min_width_m": min(widths, default=None)}
+    joined = dataclasses.replace(one, end=two.end, end_bearing_deg=two.end_bearing_deg, **whole)
     return {node.id: node for node in others}, [*(link for link in topology.links if link not in ends), joined]
 
 
@@ -81,19 +76,12 @@ def _split(first, link, root, free):
     return before, after
 
 
-def _ahead(link, heading_deg, parts):
-    """Return the part of a split link that a robot with this heading follows."""
-    turn = math.radians(link.start_bearing_deg - heading_deg)
-    onward = math.cos(turn) if abs(math.cos(turn)) > _SQUARE else math.sin(turn)
-    return parts[1] if onward > 0 else parts[0]
-
-
 def _in_order(nodes, links, root, ahead):
     """Renumber everything as a robot meets it that begins at a node with a link: the map."""
-    around = {number: [] for number in nodes}  # (bearing, link as it is followed from there)
-    for link in links:
-        around[link.start].append((link.start_bearing_deg, link))
-        around[link.end].append((link.end_bearing_deg, _turned(link)))
+    ends = BtmMap((), tuple(links)).ends
+    around: dict[int, Any] = {
+        node: [(end[0], _turned(end[3]) if end[2] else end[3]) for end in ends[node]] for node in nodes
+    }
     number, taken, followed = {root: 0}, set(), []
     here, back = root, ahead.start_bearing_deg if ahead.start == root else ahead.end_bearing_deg
     while True:
@@ -108,11 +96,9 @@ def _in_order(nodes, links, root, ahead):
         followed.append(link)
         here, back = link.end, link.end_bearing_deg
         number.setdefault(here, len(number))
-    made = tuple(
-        dataclasses.replace(link, id=i, start=number[link.start], end=number[link.end])
-        for i, link in enumerate(followed)
-    )
-    return BtmMap(tuple(dataclasses.replace(nodes[old], id=new) for old, new in number.items()), made)
+    ends = ({"id": i, "start": number[link.start], "end": number[link.end]} for i, link in enumerate(followed))
+    made = (dataclasses.replace(link, **own) for link, own in zip(followed, ends))
+    return BtmMap(tuple(dataclasses.replace(nodes[old], id=new) for old, new in number.items()), tuple(made))
 
 
 def _nearest_open(around, taken, here, back):

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from jexplore.config import checked_names
 from jexplore.tracemap.passable import inclination_of, link_name, step_of, unknowns, unknowns_at, width_of
-from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, connected_parts, direction_deg, length_of
+from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, connected_parts, length_of
 
 SAME_BEARING_DEG = 1e-6  # bearings nearer than this are one
 LENGTH_UNIT_M = 0.001  # lengths are compared in whole units
@@ -76,12 +76,10 @@ class MapIndex:
         self.links: dict[int, Link] = {link.id: link for link in btm.links}
         self.length_m = {link.id: length_of(link, self.nodes) for link in btm.links if link.end != NOWHERE}
         """Link -> its length; un-searched ones left out."""
-        self._ends: dict[int, dict[tuple[int, bool], float]] = {own: {} for own in self.nodes}
         # Node -> its ends of links, by `(id, whether it is the link's first end)` -> bearing in which the link leaves.
-        for link in btm.links:
-            self._ends[link.start][link.id, True] = link.start_bearing_deg
-            if link.end_bearing_deg is not None:
-                self._ends[link.end][link.id, False] = link.end_bearing_deg
+        self._ends = {
+            own: {(link, side == 0): bearing for bearing, link, side, _ in btm.ends[own]} for own in self.nodes
+        }
         self.doubts = functools.cache(self._doubts)
         self._step = functools.cache(self._made_step)
 
@@ -122,7 +120,7 @@ class MapIndex:
             link=own,
             start=start,
             end=link.end if forward else link.start,
-            bearing_deg=direction_deg(ends[own, forward]),
+            bearing_deg=ends[own, forward],
             turn_deg=turn,
             way=way,
             ways=ways,

@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, check_map, direction_deg
+from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, check_map
 
 _LETTER = {"terminal": "T", "divergence": "D", "free_space": "F", "obstacle": "O"}
 
@@ -43,7 +43,6 @@ def code(btm: BtmMap) -> str:
 
 def tree_of(btm: BtmMap) -> list[Vertex]:
     """Return vertices in preorder; the first is an extra one above the first node of every connected part."""
-    around = ends_around(btm)
     nodes, reached, closing = {node.id: node for node in btm.nodes}, set(), {}
     tree = [Vertex("", -1)]
     for root in btm.nodes:
@@ -58,7 +57,7 @@ def tree_of(btm: BtmMap) -> list[Vertex]:
                 tree.append(Vertex(f"={closing.setdefault(link.id, len(closing) + 1)}", **hung))
                 continue
             reached.add(here)
-            node, ends = nodes[here], around[here]
+            node, ends = nodes[here], btm.ends[here]
             tree.append(Vertex(_LETTER[node.type] + (f":{node.obstacle}" if node.obstacle else ""), node=node, **hung))
             if link is None:
                 first = min(ends, key=lambda end: (end[3].end == NOWHERE, *end[1:3]), default=None)
@@ -69,13 +68,3 @@ def tree_of(btm: BtmMap) -> list[Vertex]:
             own = len(tree) - 1
             pending += [(way.start if at else way.end, way, at, own) for _, _, at, way in reversed(order)]
     return tree
-
-
-def ends_around(btm: BtmMap) -> dict[int, list[tuple[float, int, int, Link]]]:
-    """Return ends of links by node, counter-clockwise: `(bearing, id, 0 at the start of the link or 1, link)`."""
-    around = {node.id: [] for node in btm.nodes}
-    for link in btm.links:
-        around[link.start].append((direction_deg(link.start_bearing_deg), link.id, 0, link))
-        if link.end_bearing_deg is not None:
-            around[link.end].append((direction_deg(link.end_bearing_deg), link.id, 1, link))
-    return {node: sorted(ends, key=lambda end: end[:3]) for node, ends in around.items()}

@@ -19,7 +19,7 @@ from jexplore.arrays.pictures import Listing
 from jexplore.config import InputError, checked_names, require_number, require_setting, require_whole
 from jexplore.users import import_object
 from jexplore.worlds import names
-from jexplore.worlds.bounds import PARAMETERS
+from jexplore.worlds.bounds import PARAMETERS, require_side
 
 if TYPE_CHECKING:
     from jexplore.worlds.world import World
@@ -35,7 +35,6 @@ _GRID: dict[str, Callable[[str, Any], object]] = {
 _FAR = functools.partial(require_number, low_open=True, high=1000)
 _READERS: dict[str, tuple[str, dict[str, Callable[[str, Any], object]]]] = {
     "image": ("images:load_image", {"free": functools.partial(require_number, high=255)}),
-    "movingai": ("movingai:load_movingai", {}),
     "HouseExpo": ("houseexpo:load_houseexpo", {}),
     "CARMEN": (
         "carmen:load_carmen",
@@ -53,7 +52,6 @@ _READERS: dict[str, tuple[str, dict[str, Callable[[str, Any], object]]]] = {
 _FILES = {
     "map.yaml": "a ROS map",
     "map.png@16x16, map.png@0.05": "a picture, with its sides in metres or its metres a pixel",
-    "map.map@0.1": "a MovingAI map, with its metres a cell",
     "plan.json": "a HouseExpo plan",
     "scans.log": "a CARMEN log",
     "run.bag, run.mcap": "a ROS bag",
@@ -63,12 +61,13 @@ _FILES = {
 
 def worlds() -> Listing:
     """List the worlds that `load_world` knows, with their parameters, as a table that shows itself: `jx.worlds()`."""
-    rows = []
-    for name in known_generators():
-        told = ", ".join(f"{key}={value}" for key, value in generator_parameters(name).items())
-        rows.append((f"{name}, {name}#3", (inspect.getdoc(_function(name)) or "").partition("\n")[0], told))
-    rows += [(name, what, "") for name, what in _FILES.items()]
-    return Listing(("world", "what it is", "parameters"), tuple(rows))
+    told = {
+        name: ", ".join(f"{key}={value}" for key, value in generator_parameters(name).items())
+        for name in known_generators()
+    }
+    what = {name: (inspect.getdoc(_function(name)) or "").partition("\n")[0] for name in told}
+    rows = [(f"{name}, {name}#3", what[name], told[name]) for name in told]
+    return Listing(("world", "what it is", "parameters"), (*rows, *((name, kind, "") for name, kind in _FILES.items())))
 
 
 class _Package(types.ModuleType):
@@ -114,7 +113,7 @@ def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
     """Load the world of a name: a generated one, or one read from a map file.
 
     `cave`, `cave#3`, `hospital#2:width_m=60,height_m=25`, `map.yaml`, `map.png@16x16`, `map.png@0.05:free=150`,
-    `map.map@0.1`, `plan.json`, `scans.log`, `run.bag:topic=/map`: `names.parse_name` has the grammar, the readers say
+    `plan.json`, `scans.log`, `run.bag:topic=/map`: `names.parse_name` has the grammar, the readers say
     what a file means.
 
     Args:
@@ -133,9 +132,15 @@ def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
         raise InputError(f"world must be a name or a path, got {name!r}") from None
     require_setting("cell_m", cell_m)
     parsed, chosen = read_name(name)
-    world = _generate(parsed, cell_m) if parsed.kind == "generator" else _read(parsed, cell_m)
+    if parsed.kind != "generator":
+        world = _read(parsed, cell_m)
+    elif parsed.base in GENERATORS:
+        world = _function(parsed.base)(parsed.seed, cell_m=cell_m, **parsed.parameters)
+    else:
+        from jexplore.worlds.own import make_world
 
-    from jexplore.worlds.bounds import require_side
+        world = make_world(_function(parsed.base), parsed.seed, cell_m, parsed.parameters)
+
     from jexplore.worlds.world import ringed_shape
 
     world = dataclasses.replace(world, name=name)
@@ -169,7 +174,7 @@ def read_name(name: str) -> tuple[names.WorldName, tuple[Any, ...] | None]:
     if parsed.kind == "image" and parsed.scale is None:
         scale = "append @16x16 for its size in metres or @0.05 for metres a pixel"
         raise InputError(f"{parsed.name!r}: a picture needs a scale; {scale}")
-    if parsed.kind not in ("image", "movingai") and parsed.scale is not None:
+    if parsed.kind != "image" and parsed.scale is not None:
         raise InputError(f"{parsed.name!r}: a {parsed.kind} file has its own scale; leave out what follows the '@'")
     return parsed, chosen
 
@@ -191,29 +196,16 @@ def _take_inside(parsed: names.WorldName) -> tuple[names.WorldName, tuple[Any, .
 
 def generator_parameters(base: str) -> dict[str, Any]:
     """Return the parameters of a generator in a world name, without seed and `cell_m`: name -> default."""
-    if base not in GENERATORS:
-        from jexplore.worlds.own import own_parameters
+    from jexplore.worlds.own import own_parameters
 
-        return own_parameters(_function(base))
-    parameters = inspect.signature(_function(base)).parameters.values()
-    return {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY and p.name != "cell_m"}
+    return own_parameters(_function(base))
 
 
 def _function(base: str) -> Callable[..., Any]:
     if base in _OWN:
         return _OWN[base]
     module, _, function = GENERATORS.get(base, base).partition(":")
-    if base not in GENERATORS:
-        return import_object(module, function)
-    return getattr(importlib.import_module(module), function)
-
-
-def _generate(parsed: names.WorldName, cell_m: float) -> "World":
-    if parsed.base not in GENERATORS:
-        from jexplore.worlds.own import make_world
-
-        return make_world(_function(parsed.base), parsed.seed, cell_m, parsed.parameters)
-    return _function(parsed.base)(parsed.seed, cell_m=cell_m, **parsed.parameters)
+    return getattr(importlib.import_module(module), function) if base in GENERATORS else import_object(module, function)
 
 
 def _as_default(parsed: names.WorldName, key: str, value: Any, default: Any) -> Any:
@@ -229,5 +221,5 @@ def _as_default(parsed: names.WorldName, key: str, value: Any, default: Any) -> 
 def _read(parsed: names.WorldName, cell_m: float) -> "World":
     module, _, function = _READERS[parsed.kind][0].partition(":")
     load = getattr(importlib.import_module(f"jexplore.worlds.readers.{module}"), function)
-    scale = (parsed.scale,) if parsed.kind in ("image", "movingai") else ()
+    scale = (parsed.scale,) if parsed.kind == "image" else ()
     return load(parsed.base, *scale, cell_m=cell_m, **parsed.parameters)

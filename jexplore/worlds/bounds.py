@@ -34,6 +34,14 @@ PARAMETERS: dict[str, dict[str, Any]] = {
     },
 }
 """Generator -> parameter -> its least and largest value, an integer where these are; its words; or bool."""
+LEAST_M: dict[str, Callable[[Mapping[str, Any]], tuple[float, ...]]] = {
+    "office": lambda given: (14.0, 9.0),
+    "hospital": lambda given: (32.0, 11.0),
+    "cave": lambda given: (max(6.0, 6 * given["passage_m"]),) * 2,
+    "maze": lambda given: (2 * given["corridor_m"] + 3 * given["wall_m"],) * 2,
+    "rooms": lambda given: (2 * given["room_m"],) * 2,
+}
+"""Generator -> the least width and height of its worlds by their parameters, metres."""
 
 _P = ParamSpec("_P")
 _World = TypeVar("_World")
@@ -66,23 +74,10 @@ def require_generator(kind: str, given: Mapping[str, Any]) -> None:
             require_whole(what, value, *bounds)
         else:
             require_number(what, value, low=bounds[0], high=bounds[1])
-    match kind:
-        case "course":
-            _require_course(**{key: given[key] for key in ("furniture", "dead_ends", "loops", "repeat")})
-            return
-        case "office":
-            low_m = 14.0, 9.0
-        case "hospital":
-            low_m = 32.0, 11.0
-        case "cave":
-            low_m = (max(6.0, 6 * given["passage_m"]),) * 2
-        case "maze":
-            low_m = (2 * given["corridor_m"] + 3 * given["wall_m"],) * 2
-        case "rooms":
-            low_m = (2 * given["room_m"],) * 2
-        case _:
-            low_m = 0.0, 0.0
-    cell_m = given["cell_m"]
+    if kind == "course":
+        _require_course(**{key: given[key] for key in ("furniture", "dead_ends", "loops", "repeat")})
+        return
+    low_m, cell_m = LEAST_M[kind](given), given["cell_m"]
     require_number(f"{kind}: cell_m", cell_m, low=0.001, high=MAX_CELL_M)
     for side, low in zip(("width_m", "height_m"), low_m):
         require_number(f"{kind}: {side}", given[side], low=low, high=1e4)
@@ -113,13 +108,11 @@ def require_side(name: str, rows: float, cols: float, cell_m: float | None = Non
     """
     if max(rows, cols) <= MAX_SIDE:
         return
-    larger, cut = "use a larger cell_m", "cut the map into parts"
-    if cell_m is not None:
-        least_m = max(rows, cols) / (MAX_SIDE - 2) * cell_m
-        if least_m <= 100:  # the largest there is
-            digit = 10.0 ** (math.floor(math.log10(least_m)) - 1)
-            larger = f"use a larger cell_m, at least {math.ceil(least_m / digit) * digit:.2g}"
-        else:
-            larger = "see whether its scale, the metres of a pixel, is right"
+    larger, least_m = "use a larger cell_m", max(rows, cols) / (MAX_SIDE - 2) * (cell_m or math.inf)
+    if least_m <= 100:  # the largest there is
+        digit = 10.0 ** (math.floor(math.log10(least_m)) - 1)
+        larger += f", at least {math.ceil(least_m / digit) * digit:.2g}"
+    elif cell_m is not None:
+        larger = "see whether its scale, the metres of a pixel, is right"
     size = f"{math.ceil(rows)} x {math.ceil(cols)}" if max(rows, cols) < 1e9 else "over a billion"
-    raise InputError(f"{name!r}: {size} cells are more than {MAX_SIDE} a side; {larger}, or {cut}")
+    raise InputError(f"{name!r}: {size} cells are more than {MAX_SIDE} a side; {larger}, or cut the map into parts")

@@ -2,7 +2,7 @@
 
     generator[#seed][:key=value,...]        cave   cave#3   hospital#2:width_m=60,height_m=25
     module:function[#seed][:key=value,...]  mine:plan   mine:plan#3:doors=2
-    file[@scale][:key=value,...]            map.yaml   map.png@16x16   map.png@0.05:free=150   map.map@0.1   plan.json
+    file[@scale][:key=value,...]            map.yaml   map.png@16x16   map.png@0.05:free=150   plan.json
                                             scans.log   scans.log:range_m=20   run.mcap   run.bag:topic=/map,free_max=49
 
 A name is a file if one of the known suffixes ends it or is followed by `@` or `:`; it is then cut there. A path may
@@ -25,7 +25,6 @@ from jexplore.config import InputError, require_number
 SUFFIXES: dict[str, tuple[str, ...]] = {
     "ROS": ("yaml", "yml"),
     "image": ("png", "pgm", "pbm", "ppm", "jpg", "jpeg", "bmp", "gif", "tif", "tiff"),
-    "movingai": ("map",),
     "HouseExpo": ("json",),
     "CARMEN": ("log", "clf"),
     "ROS bag": ("bag", "db3", "mcap"),

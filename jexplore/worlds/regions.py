@@ -7,9 +7,10 @@ import numpy as np
 
 from jexplore.config import InputError, checked_names, warn_of_input
 from jexplore.rooms.doors import with_doorways
+from jexplore.rooms.scores import label_components
 from jexplore.rules import Rules
 from jexplore.worlds.poses import cell_at
-from jexplore.worlds.starts import clear_in, label_components
+from jexplore.worlds.starts import clear_in
 from jexplore.worlds.world import World
 
 GAP_M = Rules().clearance_m  # m, clearance; outside and inside are apart where the default robot does not fit through

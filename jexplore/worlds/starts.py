@@ -13,6 +13,7 @@ from scipy import ndimage
 from jexplore.arrays.padding import within
 from jexplore.config import InputError
 from jexplore.grid import radius_d2
+from jexplore.rooms.scores import label_components
 from jexplore.worlds.world import World, ring_of
 
 HEADINGS_DEG = (0, 45, 90, 135, 180, 225, 270, 315)
@@ -24,16 +25,6 @@ def clear_of_walls(occupied: np.ndarray, clearance_m: float, cell_m: float) -> n
         return ~occupied
     d2 = np.rint(np.asarray(ndimage.distance_transform_edt(~occupied)) ** 2)
     return d2 > radius_d2(clearance_m, cell_m)
-
-
-def label_components(mask: np.ndarray) -> np.ndarray:
-    """Label 4-connected components from 0 in the order of their lowest flat indices: `[H, W]` int32, -1 elsewhere.
-
-    A robot's diagonal step needs both orthogonal neighbours: what it reaches in 8 directions is such a component.
-    """
-    labels = np.empty(mask.shape, np.int32)
-    ndimage.label(mask, output=labels)
-    return labels - 1
 
 
 def largest_component(mask: np.ndarray) -> np.ndarray:

@@ -12,12 +12,19 @@ from flax import struct
 from numpy.typing import ArrayLike
 
 from jexplore.arrays.pictures import axes_of, html_of, or_text, png_of, soft_colours
-from jexplore.config import InputError, checked_names, require_number, require_whole, shown
+from jexplore.config import InputError, checked_names, require_number, require_whole
 from jexplore.tracemap.record import BtmMap
 from jexplore.worlds.bounds import require_side
 
 ROBOT_PT = 9  # from the middle of the arrow to its tip
 ROBOT = "#e69f00"
+_ARRAYS = {
+    "rooms": ("iu", "integers"),
+    "elevation": ("f", "floats"),
+    "within": ("b", "bool"),
+    "known": ("i", "integers, -1 unknown, 0 free, 1 occupied,"),
+}
+"""Array of a world that it need not have -> kinds of its dtype, and how a message tells them."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -161,24 +168,15 @@ def require_world(world: World) -> World:
         raise InputError(f"{name!r}: occupied must be [H, W] bool, got {occupied.shape} {occupied.dtype}")
     require_number(f"{name!r}: cell_m", world.cell_m, low_open=True, high=100)
     require_side(name, *ringed_shape(occupied), cell_m=world.cell_m)
-    if world.rooms is not None:
-        rooms = np.asarray(world.rooms)
-        if rooms.shape != occupied.shape or not np.issubdtype(rooms.dtype, np.integer):
-            raise InputError(f"{name!r}: rooms must be integers of shape {occupied.shape}, got {rooms.shape}")
-        world = world.replace(rooms=rooms)
-    if world.elevation is not None:
-        elevation = np.asarray(world.elevation)
-        if elevation.shape != occupied.shape or not np.issubdtype(elevation.dtype, np.floating):
-            raise InputError(
-                f"{name!r}: elevation must be floats of shape {occupied.shape}, got {elevation.shape} {elevation.dtype}"
-            )
-        if not np.isfinite(elevation).all():
-            raise InputError(f"{name!r}: elevation must be finite; use 0 where the height of the ground is unknown")
-        world = world.replace(elevation=elevation.astype(np.float32, copy=False))
-    for field, kinds, what in (("within", "b", "bool"), ("known", "i", "int8: -1 unknown, 0 free, 1 occupied")):
-        array = getattr(world, field)
-        if array is not None and (np.shape(array) != occupied.shape or np.asarray(array).dtype.kind not in kinds):
-            raise InputError(f"{name!r}: {field} must be {what}, of shape {occupied.shape}, got {shown(array)}")
+    for field, (kinds, what) in _ARRAYS.items():
+        if getattr(world, field) is not None:
+            array = np.asarray(getattr(world, field))
+            if array.shape != occupied.shape or array.dtype.kind not in kinds:
+                wanted = f"{what} of shape {occupied.shape}"
+                raise InputError(f"{name!r}: {field} must be {wanted}, got {array.shape} {array.dtype}")
+            if field == "elevation" and not np.isfinite(array).all():
+                raise InputError(f"{name!r}: elevation must be finite; use 0 where the height of the ground is unknown")
+            world = world.replace(**{field: array.astype(np.float32, copy=False) if field == "elevation" else array})
     if occupied.all():
         raise InputError(f"{name!r}: no cell is free")
     return world
@@ -281,9 +279,8 @@ def require_hundred(name: str, occupancy: np.ndarray, free_max: int = 1) -> None
     most = int(occupancy.max())
     if not 1 <= most <= free_max:
         return
-    what = "integers of 0 and 1 alone" if most == 1 else f"integers up to {most}"
-    less = "" if most == 1 else ", or give a free_max below the walls' values"
-    raise InputError(
-        f"{name!r}: {what} would have no wall, for 100 is occupied; use bool, or 0..100: write "
-        + ("array == 1 or array * 100" if most == 1 else f"array == N, where N is the class of walls{less}")
-    )
+    what, write = "integers of 0 and 1 alone", "array == 1 or array * 100"
+    if most > 1:
+        what = f"integers up to {most}"
+        write = "array == N, where N is the class of walls, or give a free_max below the walls' values"
+    raise InputError(f"{name!r}: {what} would have no wall, for 100 is occupied; use bool, or 0..100: write {write}")

@@ -1,16 +1,15 @@
-"""Files of trace maps on the command line: names, checks of output files, formats; progress of merging."""
+"""Files of trace maps on the command line: names, checks of output files; progress of merging."""
 
 import contextlib
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
 from jexplore.cli.output.console import working
 from jexplore.config import InputError
-from jexplore.tracemap.record import BtmMap
 
 Files = Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE [FILE ...]", help_behavior_hint="(required)")]
 MapNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")]
@@ -63,12 +62,3 @@ def _are_one(path, other):
         return os.path.samefile(path, other)
     except OSError:  # one is not there
         return os.path.abspath(path) == os.path.abspath(other)
-
-
-def exchanged(found: BtmMap) -> dict[str, Any]:
-    """Return the files of a trace map for other programs: `{name: content}`."""
-    from jexplore.tracemap import export, json_form
-
-    is_route = any(link.end >= 0 for link in found.links)  # which needs an edge
-    route = {"btm.geojson": export.geojson(found)} if is_route else {}
-    return {"btm.json": json_form.to_json(found), **route}

@@ -6,7 +6,6 @@ from typing import Any
 
 from jexplore.cli.options import fields_of
 from jexplore.cli.output.console import Out, note_if_slow, working
-from jexplore.cli.tracemaps.files import exchanged
 from jexplore.report.tables import aligned_table, number_text
 
 
@@ -31,7 +30,7 @@ def trace_robots(out: Out, options: Any, arguments: Sequence[str]) -> int:
         logs, costs = run_robots(plan, **fields_of(options, "engine lanes workers"), on_progress=on_progress)
     with note_if_slow("jexplore: merging maps"):
         found = merge_team(plan, logs, options.contact, options.limits, costs)
-    files = exchanged(found.map) | {f"{name}.json": json_form.to_json(btm) for name, btm in found.maps.items()}
+    files = {f"{name}.json": json_form.to_json(btm) for name, btm in {"btm": found.map, **found.maps}.items()}
     files |= {"station.html": found.page(), "teams.parquet": found.table, "contacts.parquet": found.contacts}
     record = out.record(
         *(arguments, options),

@@ -20,10 +20,10 @@ from jexplore.cli.options import (
     given_of,
 )
 from jexplore.cli.output.console import Out, say, working
-from jexplore.cli.tracemaps.files import exchanged
 from jexplore.cli.tracemaps.team import trace_robots
 from jexplore.config import InputError
 from jexplore.driving.settings import Noise, Tuning
+from jexplore.tracemap.json_form import to_json
 from jexplore.tracemap.merging.limits import TeamLimits
 
 SAME_WAY_M = 0.01  # two ways no farther apart than this are one
@@ -33,8 +33,8 @@ SAME_WAY_M = 0.01  # two ways no farther apart than this are one
 class Trace(ResumeOptions):
     """Let a robot drive through a building and write its Behavioral Trace Map.
 
-    Prints the node and link tables of run 0 and how many runs made the same map. Writes btm.json, btm.geojson (nav2
-    Route Server), btm.png, runs.parquet and run.json.
+    Prints the node and link tables of run 0 and how many runs made the same map. Writes btm.json, btm.png,
+    runs.parquet and run.json.
     """
 
     world: OneWorld = "course"
@@ -148,7 +148,7 @@ class Trace(ResumeOptions):
             **engine_of(costs),
         )
         first = correct_map(found.first) if self.corrected else found.first
-        files = {**exchanged(first), "runs.parquet": found.table}
+        files = {"btm.json": to_json(first), "runs.parquet": found.table}
         text = trace_tables.map_tables(first) + "\n" + "\n".join(trace_tables.summary(found))
         pictures: dict[str, Any] = {"btm.png": functools.partial(_draw, found, first)}
         if self.animate and not costs.interrupted:

@@ -20,7 +20,7 @@ from jexplore.driving.local.window import Fixed
 from jexplore.driving.mission import MAP_SIZE, RunOutcome, RunResult
 from jexplore.driving.records import Building
 from jexplore.driving.settings import Noise, Robot, Tuning
-from jexplore.engine.draws import random_key
+from jexplore.engine.devices import random_key
 from jexplore.engine.runner import Costs, cpu_devices, find_resources
 from jexplore.slam2d.settings import SlamSettings
 

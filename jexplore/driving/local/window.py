@@ -27,7 +27,7 @@ from jexplore.driving.vehicle import (
     move,
     read_sensors,
 )
-from jexplore.engine.draws import pinned_draws
+from jexplore.engine.devices import pinned_draws
 from jexplore.grid import Grid, is_occupied
 from jexplore.slam2d.beams import Reading, fold
 from jexplore.slam2d.closing import Scanner

@@ -85,7 +85,8 @@ def _teams(robots: int | Sequence[int], coordination: CoordinationLike, contact:
     if not isinstance(contact, str):
         raise InputError(f"contact must be a text such as all or range:5, got {shown(contact)}")
     given: list[Any] = list(coordination) if isinstance(coordination, list | tuple) else [coordination]
-    ways = [read_coordination(_imported(one) if isinstance(one, str) else one) for one in given]
+    is_theirs = [isinstance(one, str) and ":" in one for one in given]  # "module:function"
+    ways = [read_coordination(import_object(*one.split(":", 1)) if own else one) for one, own in zip(given, is_theirs)]
     names = [INDEPENDENT if one is None else one.name for one in ways]
     if not names or len(set(names)) < len(names):
         raise InputError(f"coordination must be one or several different ones, got {', '.join(names) or 'none'}")
@@ -97,12 +98,6 @@ def _teams(robots: int | Sequence[int], coordination: CoordinationLike, contact:
         for one in ways:
             teams[Team(size, one if size > 1 else None, contact, own if isinstance(own, str) else own[:size])] = None
     return list(teams)
-
-
-def _imported(name: str) -> Coordinate:
-    """Return the function that a text "module:function" names; any other text as it is."""
-    module, colon, function = name.partition(":")
-    return import_object(module, function) if colon else name
 
 
 def _read_starts(starts: Starts | Sequence[str]) -> Starts:

@@ -16,7 +16,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from jexplore.arrays.loops import stored
 from jexplore.config import InputError, shown
-from jexplore.engine.draws import random_key
+from jexplore.engine.devices import random_key
 from jexplore.planning import Belief, Choice, Field, choose, field, first_at, is_open, nearest_of, view_of
 from jexplore.policies.catalogue.entries import REQUIRED, is_score, parameters
 from jexplore.policies.policy import Policy, Strategy, no_carry

@@ -12,7 +12,7 @@ import numpy as np
 
 from jexplore.arrays.files import first_line, read_bytes, read_json
 from jexplore.config import InputError, shown
-from jexplore.engine.draws import random_key
+from jexplore.engine.devices import random_key
 from jexplore.policies.learned import features, networks
 
 MODEL_FORMAT = 1  # of the files

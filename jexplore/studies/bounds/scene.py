@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike
 from jexplore.config import InputError
 from jexplore.grid import radius_d2
 from jexplore.raycast import HEADINGS, beam_table
+from jexplore.rooms.scores import label_components
 from jexplore.rules import Lidar, Rules
-from jexplore.worlds.starts import clear_of_walls, label_components
+from jexplore.worlds.starts import clear_of_walls
 from jexplore.worlds.world import World
 
 TABLE_BYTES = 2_000_000_000  # of the visibility from every cell, at most: 0.36 GB for 1,000,000 cells of 0.1 m

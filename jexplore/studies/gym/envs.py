@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space  # type: ignore[import-not-found]
 
 from jexplore.arrays.loops import alone_on_cpu, run_if
 from jexplore.config import MAX_SEED, InputError, checked_names, require_whole
-from jexplore.engine.draws import random_key
+from jexplore.engine.devices import random_key
 from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike
 from jexplore.studies.environment import Environment, EnvState
 from jexplore.studies.gym.game import (

@@ -18,7 +18,7 @@ from jexplore.driving.mission import RunOutcome
 from jexplore.driving.params.tree import using
 from jexplore.driving.records import RunMode
 from jexplore.driving.sensing import surround
-from jexplore.engine.draws import pinned_draws, random_key
+from jexplore.engine.devices import pinned_draws, random_key
 from jexplore.report.operator_view import RunRecording
 from jexplore.studies.traces.job import TraceJob
 from jexplore.worlds.readers.scans import ScanLog

@@ -8,9 +8,10 @@ from scipy import ndimage
 from jexplore.extraction.extract import extract
 from jexplore.grid import centre_of
 from jexplore.rooms.doors import middles_of
+from jexplore.rooms.scores import label_components
 from jexplore.tracemap.record import BtmMap
 from jexplore.tracemap.rooted import topology_from
-from jexplore.worlds.starts import clear_of_walls, label_components
+from jexplore.worlds.starts import clear_of_walls
 from jexplore.worlds.world import World
 
 SQUARE_DEG = 1.0  # a heading this near to square to a link is

@@ -4,8 +4,8 @@ import dataclasses
 from typing import Any
 
 from jexplore.tracemap.merging.match import Match
+from jexplore.tracemap.merging.pair import least_known, most_known
 from jexplore.tracemap.merging.rigid import mean_deg, moved_map
-from jexplore.tracemap.merging.ways import least_known, most_known
 from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link, Node, direction_deg
 
 FROM = "from"  # attribute of nodes and links: name of a map -> the id that they have there

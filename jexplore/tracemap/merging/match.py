@@ -10,9 +10,8 @@ import numpy as np
 
 from jexplore.tracemap.merging.evidence import Evidence
 from jexplore.tracemap.merging.limits import Limits
-from jexplore.tracemap.merging.pair import Guess, Pair, leaving_alike
+from jexplore.tracemap.merging.pair import Guess, Pair, PlaceWay, leaving_alike, places_of
 from jexplore.tracemap.merging.rigid import Move, apart_deg, fit, mean_deg, mirrored
-from jexplore.tracemap.merging.ways import PlaceWay, places_of
 from jexplore.tracemap.record import BtmMap
 
 EVIDENCE = 6.0  # nats that a match must be worth, beyond what the number of tries makes of chance

@@ -159,13 +159,17 @@ def _result(parts, joins, refused, originals):
 def _remarks(joins, nodes):
     """Yield sentences about joins whose nodes were matched by their place, and about those that left contradictions."""
     for found, one, other in joins:
-        if one.moves.keys() <= nodes.keys():
-            own = {node.id: next(iter(node.attributes[FROM].items())) for node in one.map.nodes}
-            whole = {key: nodes[name][at] for key, (name, at) in own.items()}
-            names, others = list(one.moves), list(other.moves)
-            if found.beside:
-                yield notes.by_place(names, others, sorted({whole[key] for key in found.beside}))
-            if found.contradictions:
-                begun = [way.steps[0] for way, _ in found.contradictions]
-                at = [link.start if ahead else link.end for link, ahead in begun]
-                yield notes.contradiction(names, others, len(at), sorted({whole[key] for key in at}))
+        if not one.moves.keys() <= nodes.keys():
+            continue
+        own = {node.id: next(iter(node.attributes[FROM].items())) for node in one.map.nodes}
+        begun = [way.steps[0] for way, _ in found.contradictions]
+        names, others, n = ", ".join(one.moves), ", ".join(other.moves), len(begun)
+        ways = f"{n} way leads" if n == 1 else f"{n} ways lead"
+        for keys, what in (
+            (found.beside, f"one in {names} and in {others} by place and bearings alone"),
+            ([link.start if ahead else link.end for link, ahead in begun],
+             f"{ways} elsewhere in {others} than in {names}; the map has both"),
+        ):  # fmt: skip
+            if keys:
+                at = sorted({nodes[name][key] for name, key in map(own.__getitem__, keys)})
+                yield f"node{'s' * (len(at) > 1)} {', '.join(map(str, at))}: {what}"

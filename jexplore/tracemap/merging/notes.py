@@ -70,21 +70,6 @@ def conflicts(btm: BtmMap) -> list[str]:
     return found
 
 
-def contradiction(names: Sequence[str], others: Sequence[str], count: int, nodes: Sequence[int]) -> str:
-    """Describe ways that leave the same nodes alike but continue differently in some maps: a sentence."""
-    what = f"{count} way leads" if count == 1 else f"{count} ways lead"
-    return f"{_listed(nodes)}: {what} elsewhere in {', '.join(others)} than in {', '.join(names)}; the map has both"
-
-
-def by_place(names: Sequence[str], others: Sequence[str], nodes: Sequence[int]) -> str:
-    """Describe nodes that were matched by their position alone: a sentence."""
-    return f"{_listed(nodes)}: one in {', '.join(names)} and in {', '.join(others)} by place and bearings alone"
-
-
-def _listed(nodes):
-    return f"node{'s' * (len(nodes) > 1)} {', '.join(map(str, nodes))}"
-
-
 def require_sources(btm: BtmMap, name: str) -> None:
     """Refuse a map whose `MERGED_FROM`, `FROM` or `CONFLICTS` merging could not have written: an `InputError`."""
     sources, is_merged = btm.attributes.get(MERGED_FROM), MERGED_FROM in btm.attributes

@@ -68,12 +68,11 @@ def mirrored(btm: BtmMap) -> BtmMap:
 
 
 def _mapped(btm, place, bearing):
-    nodes, links = [], []
-    for node in btm.nodes:
-        x_m, y_m = place(node.x_m, node.y_m)
-        nodes.append(dataclasses.replace(node, x_m=x_m, y_m=y_m))
-    for link in btm.links:
+    def turned(link):
         ends = {"start_bearing_deg": link.start_bearing_deg, "end_bearing_deg": link.end_bearing_deg}
-        turned = {name: direction_deg(bearing(own)) for name, own in ends.items() if own is not None}
-        links.append(dataclasses.replace(link, **turned))
-    return BtmMap(tuple(nodes), tuple(links), btm.attributes)
+        own = {name: direction_deg(bearing(end)) for name, end in ends.items() if end is not None}
+        return dataclasses.replace(link, **own)
+
+    places = (dict(zip(("x_m", "y_m"), place(node.x_m, node.y_m))) for node in btm.nodes)
+    nodes = (dataclasses.replace(node, **own) for node, own in zip(btm.nodes, places))
+    return BtmMap(tuple(nodes), tuple(map(turned, btm.links)), btm.attributes)

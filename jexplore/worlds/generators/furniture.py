@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jexplore.rooms.scores import label_components
 from jexplore.worlds.generators.draft import (
     OUTER_WALL_M,
     WALL_THICK_M,
@@ -21,7 +22,7 @@ from jexplore.worlds.generators.draft import (
     random_stream,
     rects_near,
 )
-from jexplore.worlds.starts import clear_of_walls, label_components, largest_component
+from jexplore.worlds.starts import clear_of_walls, largest_component
 from jexplore.worlds.world import World
 
 Part = tuple[float, list[Rect]]  # a rank, and the blocks of a piece or of a chair that belongs to it

@@ -24,21 +24,19 @@ def office(
     furniture: float = 0.0,
     wide_openings: float = 0.0,
     max_loops: float = 1000.0,
-    open_plan: bool = False,
 ) -> World:
     """Generate a floor of offices, meeting rooms, small service rooms, one open-plan area and a lobby at the facade.
 
     Corridors run the length of the building, one in every 10 m of its height; cross corridors join two of them, open to
     one and with a door to the other. Every corridor is a room of its own, together with the cross corridors open to it.
-    With `open_plan` all beyond the first corridor forms an open-plan area, but for some rooms at one end. `corridor_m`
-    is measured between the middles of the walls, `room_m` is the width of a common office, which the others follow; the
-    others are as of `finish_building`.
+    `corridor_m` is measured between the middles of the walls, `room_m` is the width of a common office, which the
+    others follow; the others are as of `finish_building`.
     """
     rng = random_stream(seed, "office")
     plan = FloorPlan(width_m, height_m)
     widths = corridor_widths(seed, "office", height_m, corridor_m, corridor_sd_m)
     stack = bands(rng, height_m, widths, (1.05, 1.25))
-    (_open_floor if open_plan else _floor)(rng, plan, stack, corridor_m, _kinds(room_m))
+    _floor(rng, plan, stack, corridor_m, _kinds(room_m))
     flips = (rng.random(2) < 0.5).tolist()
     return finish_building(plan, seed, "office", cell_m, furniture, wide_openings, max_loops, corridor_sd_m, flips)
 
@@ -64,24 +62,6 @@ def _floor(rng, plan, stack, corridor_m, kinds):
     for k, across in crossings.items():
         ends = 0.0, *itertools.chain(*across), end
         _core(rng, plan, ends, stack[k], corridors[k // 2 - 1 : k // 2 + 1], kinds)
-
-
-def _open_floor(rng, plan, stack, corridor_m, kinds):
-    """Draw rooms at one facade and a corridor along them, then only desks, and meeting rooms at one end."""
-    (y0, y1), (_, y2) = stack[:2]
-    end = plan.width_m
-    corridor = plan.room((0.0, y1, end, y2), kind="corridor")
-    _row_around(rng, plan, (0.0, y0, end, y1), corridor, kinds, "lobby", 7.0)
-    begin = rng.uniform(3.2, 4.4)
-    area = plan.room((begin, y2, end, plan.height_m), kind="open")
-    stand_columns(plan, (begin, y2, end, plan.height_m), spacing_m=6.0, margin_m=2.6)
-    n_doors = max(2, round((end - begin) / 8))
-    for i in range(n_doors):
-        plan.door(area, corridor, 1.2, (i + rng.uniform(0.3, 0.7)) / n_doors)
-    for height in cut_length(rng, plan.height_m - y2, [(1.0, 2.6, 5.0)]):
-        plan.room((0.0, y2, begin, y2 + height))
-        plan.gap((True, begin, y2, y2 + height), 1.0, rng.choice([0.1, 0.5, 0.9]))
-        y2 += height
 
 
 def _kinds(room_m):

@@ -5,6 +5,7 @@ Source:
   a wall, which also keeps plans apart whose walls are thinner than a cell.
 """
 
+import itertools
 import math
 from typing import Any
 
@@ -29,23 +30,19 @@ def load_houseexpo(path: str, *, cell_m: float = 0.1) -> World:
     plan = read_json(path, _MAX_PLAN_BYTES)
     if not isinstance(plan, dict) or "verts" not in plan:
         raise InputError(f"{path!r}: is not a HouseExpo plan; expected an object with the key 'verts'")
-    verts = _numbers(path, "verts", plan.get("verts"), 2)
+    verts, categories = _numbers(path, "verts", plan["verts"], 2), plan.get("room_category", {})
     if len(verts) < 3:
         raise InputError(f"{path!r}: verts must be at least 3 points [x, y] in metres, got {len(verts)}")
+    if not isinstance(categories, dict):
+        raise InputError(f"{path!r}: room_category must map names to lists of boxes [x0, y0, x1, y1]")
+    boxes = itertools.chain(*(_numbers(path, f"room_category {name!r}", own, 4) for name, own in categories.items()))
     low = verts.min(axis=0)
     corners = np.round((verts - low) / cell_m, 6)
-    cols_rows = np.floor(corners.max(axis=0)) + 1
-    require_side(path, cols_rows[1], cols_rows[0], cell_m)
-    shape = (int(cols_rows[1]), int(cols_rows[0]))
-    centres = (np.arange(n) + 0.5 for n in reversed(shape))
-    occupied = _outline(corners, shape) | ~inside_polygon(corners, *centres)
-    return World(
-        occupied=occupied,
-        rooms=_rooms(path, plan.get("room_category", {}), low, cell_m, occupied),
-        cell_m=cell_m,
-        name=path,
-        origin_m=(float(low[0]), float(low[1])),
-    )
+    rows, cols = (np.floor(corners.max(axis=0)[::-1]) + 1).astype(int).tolist()
+    require_side(path, rows, cols, cell_m)
+    occupied = _outline(corners, (rows, cols)) | ~inside_polygon(corners, np.arange(cols) + 0.5, np.arange(rows) + 0.5)
+    rooms = _rooms((np.array([*boxes]).reshape(-1, 2, 2) - low) / cell_m, occupied)
+    return World(occupied=occupied, rooms=rooms, cell_m=cell_m, name=path, origin_m=(float(low[0]), float(low[1])))
 
 
 def _numbers(path: str, key: str, value: Any, width: int) -> np.ndarray:
@@ -72,19 +69,15 @@ def _outline(corners: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     return wall
 
 
-def _rooms(path: str, categories: Any, low: np.ndarray, cell_m: float, occupied: np.ndarray) -> np.ndarray | None:
-    if not isinstance(categories, dict):
-        raise InputError(f"{path!r}: room_category must map names to lists of boxes [x0, y0, x1, y1]")
-    boxes = [_numbers(path, f"room_category {name!r}", of_name, 4) for name, of_name in categories.items()]
-    boxes = np.concatenate([*boxes, np.empty((0, 4))])
+def _rooms(boxes: np.ndarray, occupied: np.ndarray) -> np.ndarray | None:
+    """Return the room of every cell, of boxes `[n, 2, 2]`, two corners each in cells; None without any."""
     if not len(boxes):
         return None
-    cells = (boxes - np.tile(low, 2)) / cell_m
     rooms = np.full(occupied.shape, -1, np.int32)
-    area = np.abs((cells[:, 2] - cells[:, 0]) * (cells[:, 3] - cells[:, 1]))
-    for number in np.lexsort((-np.arange(len(cells)), -area)):  # the largest first, so that the smallest stays
-        ends = np.sort(cells[number].reshape(2, 2), axis=0)
-        x, y = np.ceil(ends - 0.5 - 1e-6).clip(0, occupied.shape[::-1]).astype(int).T  # cells with centres in the box
+    area = np.abs(np.prod(boxes[:, 1] - boxes[:, 0], axis=1))
+    for number in np.lexsort((-np.arange(len(boxes)), -area)):  # the largest first, so that the smallest stays
+        # Cells with centres in the box.
+        x, y = np.ceil(np.sort(boxes[number], axis=0) - 0.5 - 1e-6).clip(0, occupied.shape[::-1]).astype(int).T
         rooms[slice(*y), slice(*x)] = number
     rooms[occupied] = -1
     return rooms
