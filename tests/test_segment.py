@@ -213,26 +213,6 @@ def test_critical_points_are_the_oracles(case, max_hops):
 # ---------------------------------------------------------------- borders and merging
 
 
-@pytest.mark.parametrize(
-    ("shared", "group"),
-    [
-        # 0 and 1, 2 and 3, 4 and 5 are opposite sides
-        ({(0, 2): 3, (1, 2): 2}, [0, 1, 0, 3, 4, 5]),
-        ({(0, 2): 2, (1, 2): 3}, [0, 1, 1, 3, 4, 5]),
-        ({(0, 2): 2, (1, 2): 2}, [0, 1, 0, 3, 4, 5]),
-        ({(0, 1): 9}, [0, 1, 2, 3, 4, 5]),
-        # 1 joins 2, 3 joins 4: then 1 and 3 hold the sides of one split, and 0 must not meet 1 through 4
-        ({(1, 2): 5, (3, 4): 4, (2, 4): 3, (0, 4): 2}, [0, 1, 1, 0, 0, 5]),
-        ({}, [0, 1, 2, 3, 4, 5]),
-    ],
-)
-def test_merging_by_hand(shared, group):
-    given = np.zeros((6, 6), np.int32)
-    for pair, length in shared.items():
-        given[pair] = length
-    assert MERGED(jnp.asarray(given), jnp.arange(6)).tolist() == group
-
-
 def test_segments_that_grew_from_one_cell_are_one_from_the_start():
     """0 and 2 share a cell: 1 and 3, the other sides, must meet neither."""
     shared = np.zeros((4, 4), np.int32)
