@@ -111,23 +111,6 @@ def test_a_beam_enters_what_lies_nearer_than_the_range_and_nothing_at_it():
         assert not table.dcol[0, cells:, 0].any()
 
 
-def test_a_corner_stops_a_beam_by_its_x_neighbour_only():
-    occupied = maps.walls("""
-        ####
-        #.##
-        #..#
-        ####
-    """)
-    lidar = Lidar(n_beams=1, range_m=9)
-    hits, _ = sense(occupied, 1, 1, 1, lidar)  # through the corner into the free x-neighbour, then into the block
-    assert np.argwhere(hits).tolist() == [[2, 2]]
-    hits, _ = sense(occupied.T, 1, 1, 1, lidar)
-    assert np.argwhere(hits).tolist() == [[2, 2]]
-    occupied[1, 2] = True
-    hits, _ = sense(occupied, 1, 1, 1, lidar)
-    assert np.argwhere(hits).tolist() == [[1, 2]]
-
-
 def test_angles_by_hand():
     np.testing.assert_array_equal(raycast.beam_angles_deg(Lidar(n_beams=3, fov_deg=90)), [-45, 0, 45])
     np.testing.assert_array_equal(raycast.beam_angles_deg(RIGHT_ANGLES), [-180, -90, 0, 90])
