@@ -14,11 +14,7 @@ from scipy import ndimage
 from jexplore.worlds.bounds import PARAMETERS
 from jexplore.worlds.generators.cave import _widen, cave
 from jexplore.worlds.generators.course import course
-from jexplore.worlds.generators.draft import (
-    FloorPlan,
-    passable_cells,
-    wall_span,
-)
+from jexplore.worlds.generators.draft import FloorPlan, passable_cells, wall_span
 from jexplore.worlds.generators.furniture import CHECKED_CELLS, _Space
 from jexplore.worlds.generators.hospital import hospital
 from jexplore.worlds.generators.maze import maze

@@ -132,10 +132,7 @@ def test_starts_on_one_way():
         (way(0, 0, 1, 180, length_m=2.0), way(1, 1, 9, 90, length_m=5.0, opening_m=1.2), stub(2, 1, 180), stub(3, 0, 0),
          way(4, 9, 5, 90, length_m=6.0), stub(5, 5, 90)),
     )  # fmt: skip
-    east = BtmMap(
-        (node(0, "T", 10, 0), *west.nodes[1:]),
-        (way(0, 0, 1, 180, length_m=6.0), *west.links[1:]),
-    )
+    east = BtmMap((node(0, "T", 10, 0), *west.nodes[1:]), (way(0, 0, 1, 180, length_m=6.0), *west.links[1:]))
     found = merged_of(west, east)
     assert found.outcome is Merging.MERGED
     assert found.matched == 3

@@ -478,11 +478,7 @@ def test_bad_ros_maps_are_refused(tmp_path, changes, line):
 
 @pytest.mark.parametrize(
     ("text", "line"),
-    [
-        ("", "is empty"),
-        ("- 1\n", "is not a ROS map; expected the keys"),
-        ("image: [", "is not valid YAML"),
-    ],
+    [("", "is empty"), ("- 1\n", "is not a ROS map; expected the keys"), ("image: [", "is not valid YAML")],
 )
 def test_bad_yaml_is_refused(tmp_path, text, line):
     (tmp_path / "m.yaml").write_text(text)

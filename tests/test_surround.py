@@ -145,10 +145,7 @@ def beside(left_m, right_m, turn=0.0):
     return of(*sorted(zip(z.real, z.imag), key=lambda xy: -math.hypot(*xy)))  # the nearest last: it stays
 
 
-@pytest.mark.parametrize(
-    ("left_m", "right_m", "degrees"),
-    [(1, 1, 0), (1, 1, -50), (0.6, 1.4, 20), (1.2, 0.5, -20)],
-)
+@pytest.mark.parametrize(("left_m", "right_m", "degrees"), [(1, 1, 0), (1, 1, -50), (0.6, 1.4, 20), (1.2, 0.5, -20)])
 def test_the_edge_of_a_passage_is_its_middle(left_m, right_m, degrees):
     along, off = EDGE(beside(left_m, right_m, math.radians(degrees)))
     assert math.degrees(float(along)) == pytest.approx(-degrees, abs=2)  # points lie 2 cm apart
