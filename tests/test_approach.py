@@ -20,10 +20,7 @@ from jexplore.driving.vehicle import SCAN_RANGE_M, to_odometry
 KAMUI, TUNING = ROBOTS["kamui"], for_world(Tuning(), is_course=True)
 # A passage along x, two metres wide, and one that leads north from it. The largest circle touches the wall in the south
 # and both corners: 0.8 ** 2 + (1 - y) ** 2 = (1 + y) ** 2.
-T = Walls(
-    x=jnp.array([[-0.8, 1, 8], [0.8, 1, 8]]),
-    y=jnp.array([[-1, -8, 8], [1, -8, -0.8], [1, 0.8, 8]]),
-)
+T = Walls(x=jnp.array([[-0.8, 1, 8], [0.8, 1, 8]]), y=jnp.array([[-1, -8, 8], [1, -8, -0.8], [1, 0.8, 8]]))
 Y_M, RADIUS_M = 0.16, 1.16
 
 

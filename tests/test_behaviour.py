@@ -1,6 +1,5 @@
 """Run modes, what lies ahead, free space and the target point: every rule by hand."""
 
-import dataclasses
 import itertools
 import math
 
@@ -8,9 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jexplore.driving import behaviour, manoeuvre
+from jexplore.driving import behaviour
 from jexplore.driving.records import Divergence, Latch, RunMode, ScanWalls
-from jexplore.driving.sensing import surround
 from jexplore.driving.sensing.surround import DIRECTIONS
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
 
@@ -299,23 +297,3 @@ def test_the_target_of_branch_selection_is_that_of_the_latch():
     for edge in (AHEAD, (0.3, 0.2)):
         assert target(RunMode.BRANCH_SELECTION, 1.0, 0.2, drive, edge=edge) == pytest.approx([3.0, 5.0])
     assert target(RunMode.CONTACT_GUARD, 1.0, 1.0, drive) == [1, 0]
-
-
-def steered(xy, tuning):
-    """Towards a point on a free way: `(v, omega)`."""
-    now, none = manoeuvre.initial_manoeuvre(jnp.zeros(3)), jnp.bool_(False)
-    bearing, free = jnp.float32(math.atan2(xy[1], xy[0])), jnp.full(DIRECTIONS, INF)
-    _, v, omega = manoeuvre.avoid_obstacles(
-        now, surround.empty_surround(), free, jnp.zeros(3), bearing, jnp.int32(0), none, tuning, KAMUI
-    )  # fmt: skip
-    return float(v), float(omega)
-
-
-def test_speed_and_turn_rate_by_hand():
-    angle = math.radians(30)
-    for side in (1, -1):
-        at = 2 * math.cos(angle), 2 * side * math.sin(angle)
-        assert steered(at, TUNING) == pytest.approx((0.4 * math.cos(angle), 1.5 * side * angle))
-    fast = dataclasses.replace(TUNING, speed_m_s=50.0, turn_gain=100.0)  # no faster than the robot can
-    assert steered((1, 0), fast)[0] == pytest.approx(KAMUI.max_speed_m_s)
-    assert [steered((1, side / 2), fast)[1] for side in (1, -1)] == [KAMUI.max_turn_rad_s, -KAMUI.max_turn_rad_s]

@@ -114,10 +114,7 @@ def test_table():
 
 @pytest.mark.parametrize(
     ("options", "says"),
-    [
-        (("--yardstick", "/no/such/yardstick.py"), "--yardstick"),
-        (("--out", "/no/such/folder/x.json"), "--out"),
-    ],
+    [(("--yardstick", "/no/such/yardstick.py"), "--yardstick"), (("--out", "/no/such/folder/x.json"), "--out")],
 )
 def test_yardstick_refuses_wrong_input(options, says, capsys, monkeypatch):
     monkeypatch.setattr("sys.argv", [str(YARDSTICK), *options])

@@ -156,22 +156,6 @@ def test_a_blocked_link_is_never_open():
 # ---------------------------------------------------------------- the way back
 
 
-def test_the_way_back_by_hand():
-    """A chain 0 - 1 - 2 - 3 with an open link at 0; 3 hangs on by a link of its own as well."""
-    links = [(0, EAST, 1, WEST, 2.0), (1, EAST, 2, WEST, 3.0), (3, SOUTH, 2, NORTH, 1.0), (0, WEST), (3, WEST)]
-    map_ = grown([(DIVERGENCE, i, 0) for i in range(4)], links)
-    np.testing.assert_array_equal(btm.hops_to_open(map_), [0, 2, 1, 0])
-    closed = map_.replace(blocked=map_.blocked.at[4].set(True))
-    np.testing.assert_array_equal(btm.hops_to_open(closed), [0, 2, 5, 6])
-    for node, want in ((3, (2, SOUTH, 2)), (2, (1, WEST, 1)), (1, (0, WEST, 0))):
-        link, bearing, to = btm.next_hop(closed, node)
-        assert (int(link), float(bearing), int(to)) == pytest.approx(want)
-    nothing = closed.replace(blocked=closed.blocked.at[3].set(True))
-    np.testing.assert_array_equal(btm.hops_to_open(nothing), [btm.NO_WAY_M] * 4)
-    link, bearing, to = btm.next_hop(nothing, 2)
-    assert (int(link), float(bearing), int(to)) == (NONE, 0, NONE)
-
-
 N, M = 7, 12
 HOPS, HOP = jax.jit(btm.hops_to_open), jax.jit(jax.vmap(btm.next_hop, (None, 0)))
 

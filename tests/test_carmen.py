@@ -192,10 +192,7 @@ ROBOT = "ROBOTLASER1 0 -1.57 3.14 0.0174 80 0.01 0 1 2 0 0 0 0 0 0 0 0 0 0 0 0 1
         ([GOOD.replace("FLASER 3", "FLASER -3")], "must be the number of readings, got '-3'"),
         ([GOOD.replace("0.35", "nan")], "line 1: has a word that is no finite number"),
         ([GOOD.replace("0.35", "1e9")], r"a pose must lie within 1e\+06 m of 0, got 1e\+09"),
-        (
-            [GOOD, "FLASER 2 1.5 2 0 0 0 1 2 3 1 h 1"],
-            "line 2 has 2 readings from -90 degrees by 180, line 1 3",
-        ),
+        ([GOOD, "FLASER 2 1.5 2 0 0 0 1 2 3 1 h 1"], "line 2 has 2 readings from -90 degrees by 180, line 1 3"),
         ([GOOD, ROBOT], "line 2 has 1 readings below 80 m .* keep the lines of one scanner"),
         ([ROBOT.replace("0.0174", "0")], "step and the longest range of a scanner must be above 0"),
         (["ODOM 0 0 0 0 0 0 1 h 1"], "has no FLASER or ROBOTLASER1 line, so no scan with a pose$"),

@@ -70,7 +70,6 @@ def test_much_to_see_far_off_or_little_near_by(name, numbers):
             assert beliefs.target_of(f"{name}:{text}", belief, lidar) == want
 
 
-@pytest.mark.jit
 def test_revenue_counts_unknown_area_seen_or_not():
     """The better of two clusters, 1 m and 6 m away, by the formula in plain numpy."""
     belief = beliefs.belief_of(CORRIDOR, **ONE_METRE)
@@ -93,7 +92,6 @@ def test_revenue_counts_unknown_area_seen_or_not():
     assert chosen == {NEAR, FAR_OFF}
 
 
-@pytest.mark.jit
 def test_mutual_information_for_a_metre_of_path():
     """One unknown cell 1 m away tells half as much as a hit and a miss, three 6 m away 7/8: the same at 17/3 m."""
     belief = beliefs.belief_of(CORRIDOR, **ONE_METRE)
@@ -101,7 +99,6 @@ def test_mutual_information_for_a_metre_of_path():
         assert beliefs.target_of(f"mutual-information:{text}".rstrip(":"), belief, CROSS) == want
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize("seed", [0, 1])
 def test_mutual_information_is_the_expected_divergence_of_what_a_beam_tells(seed):
     """Every end of every beam, its probability, and how far the cells that it tells of are then from before."""
@@ -130,7 +127,6 @@ def test_mutual_information_is_the_expected_divergence_of_what_a_beam_tells(seed
     np.testing.assert_allclose(found, [expected(3, 4), expected(0, 0), expected(13, 9)], rtol=1e-4)
 
 
-@pytest.mark.jit
 def test_consistent_tour_begins_straight_ahead():
     """Left first 1 + 7 m, right first 6 + 7 m; the robot faces right, so that left is pi turn_m farther off."""
     belief = beliefs.belief_of(CORRIDOR, **ONE_METRE)
@@ -139,7 +135,6 @@ def test_consistent_tour_begins_straight_ahead():
     assert beliefs.target_of("consistent-tour", belief.replace(heading=jnp.int32(4)), CROSS) == NEAR
 
 
-@pytest.mark.jit
 def test_small_first_puts_off_what_draws_the_robot_in():
     """One step to the right 3 unknown cells, six to the left 1: -1 - s sqrt(3) and -6 - s, the same at s = 6.83."""
     belief = beliefs.belief_of("############## #?......R.???# ##############", **ONE_METRE)
@@ -305,30 +300,9 @@ def test_advantage_by_hand():
 
 # ---------------------------------------------------------------- tour
 
-NICHE_LENGTHS = [[0, 4, 2, 6], [4, 0, 6, 10], [2, 6, 0, 4], [6, 10, 4, 0]]  # the robot, A, B, C
-
-
-def table_of(lengths, size=7):
-    """Distances in a larger table, whose other entries must not matter."""
-    table = np.full((size, size), 0.25, np.float32)
-    table[: len(lengths), : len(lengths)] = lengths
-    return jnp.asarray(table)
-
 
 def length_of(lengths, route):
     return sum(float(lengths[a][b]) for a, b in itertools.pairwise(route))
-
-
-def test_a_route_by_hand():
-    """B is the nearest stop."""
-    first, better = both(table_of(NICHE_LENGTHS), jnp.int32(3))
-    assert first[:4].tolist() == [0, 3, 2, 1]
-    assert better[:4].tolist() == [0, 1, 2, 3]
-    for few in range(2):
-        assert both(table_of(NICHE_LENGTHS), jnp.int32(few))[1][: few + 1].tolist() == list(range(few + 1))
-    # Stops in a row at 1, 2 and 10: the last way is open, and to 10 and back would be as long in any order.
-    places = np.array([0.0, 2, 10, 1])
-    assert both(table_of(np.abs(places[:, None] - places)), jnp.int32(3))[1][:4].tolist() == [0, 3, 1, 2]
 
 
 def best_turns(lengths, route, n):

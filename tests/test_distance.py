@@ -42,18 +42,6 @@ def test_two_sites_by_hand():
     np.testing.assert_array_equal(site[::-1], [[0, 0, 14, 14, 14], [0, 0, 0, 14, 14], [0, 0, 0, 14, 14]])
 
 
-def test_edge_cases():
-    d2, site = nearest_site(jnp.zeros((3, 4), bool))
-    assert (np.asarray(d2) == FAR).all()
-    assert (np.asarray(site) == -1).all()
-    d2, site = nearest_site(jnp.ones((3, 4), bool))
-    assert not d2.any()
-    np.testing.assert_array_equal(site, np.arange(12).reshape(3, 4))
-    d2, site = nearest_site(jnp.asarray([[False, False, False, True]]))
-    np.testing.assert_array_equal(d2, [[9, 4, 1, 0]])
-    np.testing.assert_array_equal(site, [[3, 3, 3, 3]])
-
-
 @pytest.mark.jit
 @given(masks() | masks(0.1))
 @settings(max_examples=150, deadline=None)
@@ -64,21 +52,6 @@ def test_nearest_site_is_brute_force_and_scipy(sites):
     np.testing.assert_array_equal(site, expected_site)
     if sites.any():
         np.testing.assert_array_equal(d2, np.rint(ndimage.distance_transform_edt(~sites) ** 2))
-
-
-def test_within_by_hand():
-    mask = maps.walls("""
-        .....
-        .....
-        ..#..
-        .....
-        .....
-    """)
-    np.testing.assert_array_equal(within(jnp.asarray(mask), 0), mask)
-    np.testing.assert_array_equal(within(jnp.asarray(mask), 1), maps.walls("..... ..#.. .###. ..#.. ....."))
-    np.testing.assert_array_equal(within(jnp.asarray(mask), 2), maps.walls("..... .###. .###. .###. ....."))
-    np.testing.assert_array_equal(within(jnp.asarray(mask), 4), maps.walls("..#.. .###. ##### .###. ..#.."))
-    np.testing.assert_array_equal(within(jnp.asarray(mask), 5), maps.walls(".###. ##### ##### ##### .###."))
 
 
 @pytest.mark.parametrize("d2", [0, 1, 2, 4, 9, 200])

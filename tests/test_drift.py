@@ -10,9 +10,9 @@ from parts.drift import figure as plots
 from parts.drift.odometry_map import odometry_map
 from parts.drift.storage import packed_map, storage
 from parts.drift.study import drift, placed_truly, summarised
+from ref.refusals import refused
 
 import jexplore as jx
-from jexplore.config import InputError
 from jexplore.driving.batch import Driven
 from jexplore.driving.settings import Noise
 from jexplore.tracemap.record import BtmMap, Link, Node
@@ -108,8 +108,7 @@ def test_the_figure():
     ],
 )
 def test_what_cannot_be_asked(options, says):
-    with pytest.raises(InputError, match=says):
-        drift(**options)
+    refused(says, drift, **options)
 
 
 @pytest.mark.slow

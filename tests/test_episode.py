@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 from ref import maps
-from ref.episodes import assert_equal_episodes, choice_of, clear_cells, play, readings_of, replay
+from ref.episodes import assert_equal_episodes, clear_cells, play, readings_of, replay
 
 from jexplore.exploration.state import Outcome, Stream
 from jexplore.exploration.trail import decode, detail_of
@@ -173,24 +173,6 @@ def test_a_start_near_walls_can_end_blocked_or_stuck():
     result = assert_same(occupied, (5, 5, 0), "closest", lidar, rules, cell_m=0.1, shape=SHAPE, beams_as=BEAMS_AS)
     outcomes.add(Outcome(int(result.outcome)).name)
     assert outcomes >= {"BLOCKED", "STUCK"}
-
-
-# ---------------------------------------------------------------- random targets
-
-
-@pytest.mark.jit
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("strategy", ["random", "random+recheck"])
-def test_random_targets_replay(seed, strategy):
-    """The simulator makes the same draws among its own candidates and must go the same way."""
-    occupied, rooms = maps.cluttered(30 + seed, 40, 44)
-    lidar, rules, start = Lidar(range_m=2.0, n_beams=37), Rules(max_plans=40), a_start(seed, occupied, Rules())
-    result, state = play(
-        occupied, start, strategy, lidar, rules, cell_m=0.1, rooms=rooms, shape=SHAPE, beams_as=BEAMS_AS,
-        seed=seed,
-    )  # fmt: skip
-    want = replay(occupied, start, strategy, lidar, rules, cell_m=0.1, rooms=rooms, choose=choice_of(seed))
-    assert_equal_episodes(result, state, want, cell_m=0.1, rooms=rooms)
 
 
 # ---------------------------------------------------------------- view points

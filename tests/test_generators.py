@@ -15,18 +15,13 @@ from jexplore.rooms.scores import label_components
 from jexplore.worlds.bounds import PARAMETERS
 from jexplore.worlds.generators.cave import _widen, cave
 from jexplore.worlds.generators.course import course
-from jexplore.worlds.generators.draft import (
-    FloorPlan,
-    Side,
-    passable_cells,
-    wall_span,
-)
+from jexplore.worlds.generators.draft import FloorPlan, passable_cells, wall_span
 from jexplore.worlds.generators.furniture import CHECKED_CELLS, _Space
 from jexplore.worlds.generators.hospital import hospital
-from jexplore.worlds.generators.maze import maze, passages
+from jexplore.worlds.generators.maze import maze
 from jexplore.worlds.generators.office import office
 from jexplore.worlds.generators.rooms import rooms
-from jexplore.worlds.generators.variants import limit_loops, widen_openings
+from jexplore.worlds.generators.variants import widen_openings
 from jexplore.worlds.starts import clear_of_walls
 from jexplore.worlds.world import World
 
@@ -140,19 +135,6 @@ def test_walls_have_one_thickness_wherever_they_stand():
     assert wall_span(10.0, 10.0, 0.1) == (97, 100)
 
 
-def test_passages_are_a_spanning_tree_and_the_wanted_share_of_the_rest():
-    shape = (4, 6)
-    n_walls = 4 * 5 + 3 * 6 - 23
-    for loops in (0.0, 0.1, 0.5, 1.0):
-        pairs = passages(np.random.default_rng(3), shape, loops)
-        assert len(pairs) == len({frozenset(pair) for pair in pairs}) == 23 + round(loops * n_walls)
-        assert all(abs(a[0] - b[0]) + abs(a[1] - b[1]) == 1 for a, b in pairs)
-        reached = {(0, 0)}
-        for _ in range(24):
-            reached |= {place for pair in pairs[:23] if reached & set(pair) for place in pair}
-        assert len(reached) == 24
-
-
 def two_rooms():
     """A room 4 m wide and one 6 m wide, with two doors between them, 6 m deep."""
     plan = FloorPlan(10.0, 6.0)
@@ -160,30 +142,6 @@ def two_rooms():
     for at in (0.0, 1.0):
         plan.door(left, right, 0.9, at)
     return plan
-
-
-def test_a_plan_knows_what_is_beside_a_door_and_where_no_door_is():
-    plan = two_rooms()
-    assert plan.kinds == ["", "open"]
-    assert [plan.beside(door) for door in plan.doors] == [(0, 1), (0, 1)]
-    assert [door.middle for door in plan.doors] == pytest.approx([0.775, 5.225])
-    walls = plan.bare_walls(0, 0.5)
-    assert walls[:2] == [Side(False, 0.0, 1, 0.0, 4.0), Side(False, 6.0, -1, 0.0, 4.0)]
-    assert walls[2] == Side(True, 0.0, 1, 0.0, 6.0)
-    (right,) = walls[3:]
-    assert (right.vertical, right.wall, right.inward) == (True, 4.0, -1)
-    assert (right.low, right.high) == pytest.approx((0.775 + 0.45 + 0.5, 5.225 - 0.45 - 0.5))
-    assert right.block(2.0, 0.1, 3.0, 0.6) == pytest.approx((3.4, 2.0, 3.9, 3.0))
-    assert walls[1].block(2.0, 0.1, 3.0, 0.6) == pytest.approx((2.0, 5.4, 3.0, 5.9))
-
-
-def test_one_of_two_doors_is_closed_but_never_the_last():
-    plan = two_rooms()
-    limit_loops(plan, 0, "cave", 1000.0)
-    assert len(plan.doors) == 2
-    for _ in range(2):
-        limit_loops(plan, 0, "cave", 0.0)
-        assert len(plan.doors) == 1
 
 
 def test_an_opening_fits_between_its_neighbours():

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ref import maps
 from scipy import ndimage
 
 from jexplore.arrays import groups
@@ -21,22 +20,6 @@ masks = st.tuples(st.sampled_from(SHAPES), st.sampled_from((0.0, 0.1, 0.4, 1.0))
 )
 GROUPED = jax.jit(groups.grouped, static_argnames=("size", "part"))
 EIGHT = np.ones((3, 3))
-
-
-@pytest.mark.parametrize("part", [1, 2, 4, 8])
-def test_groups_by_hand(part):
-    """Two groups that begin in one row; the first takes in what seems a third one until the last row."""
-    found = GROUPED(jnp.asarray(maps.walls(".##.. #.#.. #.#.#")), size=8, part=part)
-    assert found.cell.tolist() == [0, 2, 4, 5, 7, 11, 12, 15]
-    assert found.lowest.tolist() == [0, 0, 2, 0, 0, 0, 0, 7]
-    assert (int(found.count), int(found.overflow)) == (7, 0)
-
-
-def test_cells_that_do_not_fit_are_counted_and_whole_parts_are_made():
-    found = GROUPED(jnp.asarray(maps.walls("####")), size=3, part=2)
-    assert found.cell.tolist() == [0, 1, 2, 4]
-    assert found.lowest.tolist() == [0, 0, 0, 3]
-    assert (int(found.count), int(found.overflow)) == (3, 1)
 
 
 @given(masks, st.sampled_from((7, 64, 80)))

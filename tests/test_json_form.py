@@ -71,14 +71,7 @@ def test_a_newer_minor_version_is_read():
 
 
 @pytest.mark.parametrize(
-    ("version", "got"),
-    [
-        ([2, 0], r"\[2, 0\]"),
-        (None, "None"),
-        ([1], r"\[1\]"),
-        ([1, -1], r".*"),
-        ([1, "0"], r".*"),
-    ],
+    ("version", "got"), [([2, 0], r"\[2, 0\]"), (None, "None"), ([1], r"\[1\]"), ([1, -1], r".*"), ([1, "0"], r".*")]
 )
 def test_other_versions_are_refused(version, got):
     with pytest.raises(InputError, match=rf'^"b": version must be \[1, 0\] or a later minor one, got {got}$'):

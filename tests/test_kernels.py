@@ -84,13 +84,7 @@ def assert_equal(one, other):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("shape", "clearance_d2", "is_held"),
-    [
-        ((64, 96), 9, False),
-        ((37, 45), 2, True),
-    ],
-)
+@pytest.mark.parametrize(("shape", "clearance_d2", "is_held"), [((64, 96), 9, False), ((37, 45), 2, True)])
 def test_plans_have_the_same_bits(target, shape, clearance_d2, is_held):
     found = 0
     for seed in range(16):

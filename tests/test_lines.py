@@ -61,10 +61,7 @@ WIDE = [5.0] * 10 + [31.0] * 5
 DIP = [28.0] * 4  # between 0.9 and 1 of the bound
 
 
-@pytest.mark.parametrize(
-    ("middle", "n"),
-    [([31.0] * 4, 1), (DIP, 1), ([26.0] * 4, 2)],
-)
+@pytest.mark.parametrize(("middle", "n"), [([31.0] * 4, 1), (DIP, 1), ([26.0] * 4, 2)])
 def test_free_space_once_entered_lasts_until_it_is_a_tenth_narrower(middle, n):
     """Clearances are to the centre of an obstacle's cell, half a cell more than is free: the bound is 30 cells."""
     spaces, mouths = spaces_of([*WIDE, *middle, *WIDE[::-1]], 30.0)

@@ -57,18 +57,14 @@ def sill(at, height, length=0.2):
     return lambda x: height * (at < x < at + length)
 
 
-@pytest.mark.parametrize("height", [0.06, 0.12, 0.18, -0.06, -0.18])
-def test_a_step_is_found_with_its_place_and_height(height):
-    step = at_the_end(up(4.01, height))
-    assert float((step.from_m + step.to_m) / 2) == pytest.approx(4.01, abs=0.06)
-    assert float(step.height_m) == pytest.approx(abs(height), abs=1e-3)
-
-
-@pytest.mark.parametrize("height", [0.06, 0.12, 0.18])
-def test_both_edges_of_a_sill_are_one_step(height):
-    step = at_the_end(sill(4.01, height))
-    assert float((step.from_m + step.to_m) / 2) == pytest.approx(4.11, abs=0.06)
-    assert float(step.height_m) == pytest.approx(height, abs=1e-3)
+@pytest.mark.parametrize(
+    ("ground", "at_m", "heights"), [(up, 4.01, (0.06, 0.12, 0.18, -0.06, -0.18)), (sill, 4.11, (0.06, 0.12, 0.18))]
+)
+def test_a_step_is_found_with_its_place_and_height_and_both_edges_of_a_sill_are_one(ground, at_m, heights):
+    for height in heights:
+        step = at_the_end(ground(4.01, height))
+        assert float((step.from_m + step.to_m) / 2) == pytest.approx(at_m, abs=0.06)
+        assert float(step.height_m) == pytest.approx(abs(height), abs=1e-3)
 
 
 @pytest.mark.parametrize("face", [[0.05], [0.11], []])

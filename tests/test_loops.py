@@ -7,16 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jexplore.arrays.loops import (
-    SHARE,
-    first_lanes,
-    one_kernel,
-    put,
-    repeat,
-    run_if,
-    stored,
-    take,
-)
+from jexplore.arrays.loops import SHARE, first_lanes, one_kernel, put, repeat, run_if, stored, take
 
 pytestmark = pytest.mark.jit
 
@@ -42,8 +33,7 @@ def kept(x, y):
 
 @pytest.mark.parametrize("n", [1, SHARE, 2 * SHARE + 1])
 @pytest.mark.parametrize(
-    "function",
-    [lambda x: bumped(x, jnp.arange(3) + x), lambda x: halved(x, jnp.int32(2)), lambda x: kept(x, 7)],
+    "function", [lambda x: bumped(x, jnp.arange(3) + x), lambda x: halved(x, jnp.int32(2)), lambda x: kept(x, 7)]
 )
 def test_many_at_a_time_are_as_many_alone(function, n):
     xs = jnp.arange(n, dtype=jnp.int32) * 5

@@ -1,5 +1,6 @@
 """Past what stands in the way: every rule by hand, and a robot that has to back out of a passage."""
 
+import dataclasses
 import math
 
 import jax
@@ -25,7 +26,7 @@ INF = math.inf
 FREE = np.full(DIRECTIONS, INF)
 HERE = (0.0, 0.0, 0.0)
 
-_drive = jax.jit(lambda *args: manoeuvre.avoid_obstacles(*args, TUNING, KAMUI))
+_drive = jax.jit(lambda *args: manoeuvre.avoid_obstacles(*args, KAMUI))
 _remembered = jax.jit(manoeuvre.extend_trail)
 
 
@@ -36,11 +37,11 @@ def of(*xy):
     return Surround(*out)
 
 
-def driven(now, around=None, ways=FREE, pose=HERE, bearing=0.0, turning=0, touched=False):
+def driven(now, around=None, ways=FREE, pose=HERE, bearing=0.0, turning=0, touched=False, tuning=TUNING):
     """`(after, v, omega)`."""
     ways, pose = (jnp.asarray(a, jnp.float32) for a in (ways, pose))
     around = surround.empty_surround() if around is None else around
-    args = jnp.float32(bearing), jnp.int32(turning), jnp.bool_(touched)
+    args = jnp.float32(bearing), jnp.int32(turning), jnp.bool_(touched), tuning
     after, v, omega = _drive(now, around, ways, pose, *args)
     return after, float(v), float(omega)
 
@@ -80,6 +81,8 @@ def test_a_free_way_is_driven_by_plain_proportional_control(degrees):
     assert v == pytest.approx(TUNING.speed_m_s * math.cos(bearing))
     assert omega == pytest.approx(np.clip(TUNING.turn_gain * bearing, -KAMUI.max_turn_rad_s, KAMUI.max_turn_rad_s))
     assert not after.backing
+    fast = dataclasses.replace(TUNING, speed_m_s=50.0)  # no faster than the robot can
+    assert driven(along_x(1.0), tuning=fast)[1] == pytest.approx(KAMUI.max_speed_m_s)
     for side in (1, -1):  # a target far aside is turned to in place; a turn in place is no matter of the target
         assert driven(along_x(1.0), bearing=side * 2.0)[1:] == (0, side * KAMUI.max_turn_rad_s)
         assert driven(along_x(1.0), bearing=-0.1, turning=side)[1:] == (0, side * KAMUI.max_turn_rad_s / 2)

@@ -13,7 +13,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from ref.parts import EXACT, common, part_of
 from ref.refusals import refused
-from ref.traces import are_same, chain, maps, node, stub, way
+from ref.traces import FIRST, SECOND, are_same, chain, maps, node, stub, way
 from scipy.stats import lognorm, multivariate_normal
 
 import jexplore as jx
@@ -31,50 +31,6 @@ from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, check_map
 from jexplore.tracemap.similarity import code
 from jexplore.worlds import load_world
 
-# Two robots in one building. The first comes from the west, the second starts south of the corner:
-#
-#            F4
-#            |                         The first knows T0, D1, D2, D3 and a way north of D1,
-#   T0 --4-- D1 ---9--- D2             the second T5, D2, D1, F4, D3 and a way west of D1.
-#                       |
-#                      (T5) 2.5 m below D2
-#                       |
-#                       D3- 6 m below D2
-FIRST = BtmMap(
-    (
-        node(0, "T", 0, 0),
-        node(1, "D", 4, 0),
-        node(2, "D", 13, 0, posture_deg=3.0),
-        node(3, "D", 13, -6, attributes={"victim": True}),
-    ),
-    (
-        way(0, 0, 1, 0, length_m=4.0, min_width_m=1.5),
-        way(1, 1, 2, 0, length_m=9.0, min_width_m=2.2, opening_m=2.3),
-        stub(2, 1, 90, opening_m=1.2),
-        way(3, 2, 3, 270, length_m=6.0, min_width_m=1.4, max_step_m=0.02),
-        stub(4, 3, 0),
-    ),
-    {"frame": "odom"},
-)
-SECOND = BtmMap(
-    (
-        node(0, "T", 13, -2.5),
-        node(7, "D", 13, 0, posture_deg=5.0, attributes={"radio_dbm": -61}),
-        node(8, "D", 4, 0),
-        node(9, "F", 4, 5),
-        node(10, "D", 13, -6, attributes={"victim": False}),
-    ),
-    (
-        way(0, 0, 7, 90, length_m=2.5, min_width_m=1.6),
-        way(1, 7, 8, 180, length_m=9.0, min_width_m=2.1),
-        way(2, 8, 9, 90, length_m=5.0, opening_m=1.2),
-        stub(3, 8, 180),
-        way(4, 0, 10, 270, length_m=3.5, min_width_m=1.3, posture_deg=2.0),
-        stub(5, 10, 0),
-        stub(6, 9, 90),
-    ),
-    {"frame": "odom"},
-)
 TOGETHER = BtmMap(
     (
         node(0, "T", 0, 0),
@@ -175,10 +131,7 @@ def test_starts_on_one_way():
         (way(0, 0, 1, 180, length_m=2.0), way(1, 1, 9, 90, length_m=5.0, opening_m=1.2), stub(2, 1, 180), stub(3, 0, 0),
          way(4, 9, 5, 90, length_m=6.0), stub(5, 5, 90)),
     )  # fmt: skip
-    east = BtmMap(
-        (node(0, "T", 10, 0), *west.nodes[1:]),
-        (way(0, 0, 1, 180, length_m=6.0), *west.links[1:]),
-    )
+    east = BtmMap((node(0, "T", 10, 0), *west.nodes[1:]), (way(0, 0, 1, 180, length_m=6.0), *west.links[1:]))
     found = merged_of(west, east)
     assert found.outcome is Merging.MERGED
     assert found.matched == 3

@@ -156,21 +156,10 @@ def test_beams_enter_the_cells_of_the_table():
 def test_sanitizers_find_nothing():
     """Twice each kind of case: counting and not, by warps, shown once more."""
     fuzz_py = Path(__file__).parents[1] / "benchmarks" / "fuzz.py"
-    command = [
-        sys.executable,
-        str(fuzz_py),
-        "--alone",
-        "--sanitize",
-        "--seed",
-        "7",
-        "--cases",
-        str(2 * len(fuzz.EXACT)),
-    ]
+    options = f"--alone --sanitize --seed 7 --cases {2 * len(fuzz.EXACT)}"
+    command = [sys.executable, str(fuzz_py), *options.split()]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stdout + ended.stderr
-
-
-# ---------------------------------------------------------------- numbers at their ends
 
 
 # ---------------------------------------------------------------- replays

@@ -24,7 +24,6 @@ pytestmark = pytest.mark.jit
 TUNING = for_world(Tuning(), is_course=True)
 KAMUI = ROBOTS["kamui"]
 TEN = math.radians(10)
-INF = math.inf
 
 
 points = jax.jit(perception.beam_points)
@@ -140,26 +139,6 @@ def test_front_is_as_wide_as_the_robot():
     assert [float(v) for v in front(dots, dots[:, 0] <= 0, 0.5)] == [math.inf, math.inf]
 
 
-def test_straight_walls_stay_exactly_straight():
-    xy, valid = points_of([(-9, 1, 9, 1), (-9, -1.3, 9, -1.3)])
-    even = np.asarray(smoothed(xy, valid, 0.1))
-    kept = np.asarray(valid)
-    want = np.where(np.asarray(xy)[:, 1] > 0, 1, -1.3)
-    np.testing.assert_allclose(even[kept, 1], want[kept], atol=1e-5)
-    assert np.abs(even - xy)[kept].max() < 0.1
-    np.testing.assert_array_equal(even[~kept], np.asarray(xy)[~kept])
-
-
-def test_smoothing_does_not_cross_a_jump():
-    """Two walls 0.3 m one behind the other, many beams on each."""
-    xy, valid = points_of([(1.0, -3, 1.0, 0), (1.3, 0, 1.3, 3)])
-    kept = np.asarray(valid)
-    even = np.asarray(smoothed(xy, valid, 0.1))
-    np.testing.assert_allclose(even[kept, 0], np.asarray(xy)[kept, 0], atol=1e-5)
-    wide = np.asarray(smoothed(xy, valid, 0.5))
-    assert np.abs(wide - xy)[kept, 0].max() > 0.1  # a longer reach would
-
-
 def test_smoothing_takes_the_mean_of_what_is_near():
     xy = np.array([[1, 0.0], [1, 0.05], [1.06, 0.1], [2, 0.1], [1, 0.15]], np.float32)
     valid = np.array([True, True, True, True, False])
@@ -174,18 +153,6 @@ def sampled(xy, valid, near_m=0.3, far_m=4.0, aside_m=2.5, spacing_m=0.2, size=S
     assert chosen.shape == (size, 2)
     chosen, there, n = np.asarray(chosen), np.asarray(there), size - size // 4
     return chosen[:n][there[:n]], chosen[n:][there[n:]], float(spacing), int(overflow)
-
-
-def test_points_lie_at_even_distances_and_both_ends_are_kept():
-    xy, valid = points_of([(1, 1, 3, 1)])
-    ticks, ends, spacing, overflow = sampled(xy, valid, spacing_m=0.25)
-    kept = np.asarray(xy)[np.asarray(valid)]
-    assert (spacing, overflow) == (0.25, 0)
-    np.testing.assert_allclose(ends, kept[[0, -1]], atol=1e-6)
-    length = kept[0, 0] - kept[-1, 0]
-    np.testing.assert_allclose(ticks[:, 1], 1, atol=1e-5)
-    np.testing.assert_allclose(kept[0, 0] - ticks[:, 0], (np.arange(len(ticks)) + 0.5) * 0.25, atol=1e-4)
-    assert len(ticks) == math.floor(length / 0.25 + 0.5)
 
 
 def test_points_follow_a_bend():
@@ -396,17 +363,6 @@ def test_level_ground_is_seen_at_the_height_of_the_scanner_ahead():
     x, z, _ = measured(ground_of(np.zeros(130)), 2.0)
     assert x == pytest.approx(KAMUI.scanner_x_m + KAMUI.scanner_height_m, abs=1e-3)  # at 45 degrees
     assert z == pytest.approx(0, abs=1e-3)
-
-
-@pytest.mark.parametrize("degrees", [10, -25])
-def test_on_a_slope_the_true_height_ahead_is_seen(degrees):
-    angle = math.radians(degrees)
-    ground = ground_of(slope_of(angle))
-    x, z, want = measured(ground, 2.2)  # all of the robot is on it
-    assert z == pytest.approx(x * math.tan(angle), abs=2e-3)
-    assert z == pytest.approx(want, abs=2e-3)
-    x, z, _ = measured(ground, 3.2, math.pi)  # the other way
-    assert z == pytest.approx(-x * math.tan(angle), abs=2e-3)
 
 
 @pytest.mark.parametrize("heading", [0.0, math.pi])

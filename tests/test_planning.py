@@ -57,23 +57,6 @@ def test_a_field_by_hand():
     np.testing.assert_array_equal(reached.traversable, ~maps.walls("###### #...## #....# #....# ######"))
 
 
-def test_the_nearest_frontier_by_hand():
-    belief = belief_of(ROOM)
-    choice, route = nearest_frontier(belief, no_route(belief))
-    assert (int(choice.row), int(choice.col), int(choice.cost), int(choice.saturated)) == (2, 3, S, 0)
-    assert np.argwhere(np.asarray(route) >= 0).tolist() == [[2, 2]]
-    assert route[2, 2] == 0  # east
-
-
-def test_equal_costs_go_to_the_lowest_index():
-    belief = belief_of("?.R.?")
-    choice, _ = nearest_frontier(belief, no_route(belief))
-    assert (int(choice.row), int(choice.col)) == (0, 1)
-    belief = belief_of("? . R . ?")
-    choice, _ = nearest_frontier(belief, no_route(belief))
-    assert (int(choice.row), int(choice.col)) == (1, 0)
-
-
 def test_exhausted_cells_and_unreachable_ones_are_no_candidates():
     belief = belief_of("?.R#.?")
     belief = belief.replace(exhausted=jnp.zeros((1, 6), bool).at[0, 1].set(True))
@@ -82,13 +65,6 @@ def test_exhausted_cells_and_unreachable_ones_are_no_candidates():
     choice, route = nearest_frontier(belief, old)
     assert (int(choice.row), int(choice.col), int(choice.cost)) == (-1, -1, FAR)
     np.testing.assert_array_equal(route, old)
-
-
-def test_the_robots_own_cell_can_be_the_nearest_frontier():
-    belief = belief_of("?R.?")
-    choice, route = nearest_frontier(belief, no_route(belief))
-    assert (int(choice.row), int(choice.col), int(choice.cost)) == (0, 1, 0)
-    assert (np.asarray(route) == -1).all()
 
 
 def test_choosing_nothing_leaves_the_route():

@@ -95,15 +95,7 @@ def by_hand(line, number):
     return state
 
 
-@pytest.mark.parametrize(
-    "how",
-    [
-        {"workers": 1},
-        {"workers": 2},
-        LANES | {"lanes": 4},
-        LANES | {"lanes": 64},
-    ],
-)
+@pytest.mark.parametrize("how", [{"workers": 1}, {"workers": 2}, LANES | {"lanes": 4}, LANES | {"lanes": 64}])
 def test_runs_are_those_that_a_loop_makes(how):
     lines, _ = run(**how)
     for line in lines:

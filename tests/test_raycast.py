@@ -70,17 +70,6 @@ def test_a_mounted_scanner_as_the_oracle(seed):
 # ---------------------------------------------------------------- by hand
 
 
-def test_a_scanner_ahead_of_the_robot_by_hand():
-    """It looks right, a cell ahead of the robot, and is blind for a cell and a half."""
-    lidar = Lidar(n_beams=1, fov_deg=0, range_m=9, forward_m=1, yaw_deg=-90, min_range_m=1.6)
-    table = raycast.beam_table(lidar, 1.0, 7)
-    assert table.drow[0, :3, 0].tolist() == [0, -1, -2]
-    assert table.dcol[0, :3, 0].tolist() == [1, 1, 1]
-    assert table.entry[0, :3, 0].tolist() == [0, 0.5, 1.5]
-    assert table.blind[0].tolist() == [3]
-    assert table.length[0].tolist() == [10]
-
-
 def test_one_scan_by_hand():
     hits, misses = sense(ROOM, 1, 2, 0, RIGHT_ANGLES)
     assert maps.picture(hits, misses) == [
@@ -109,23 +98,6 @@ def test_a_beam_enters_what_lies_nearer_than_the_range_and_nothing_at_it():
         np.testing.assert_array_equal(table.entry[0, :cells, 0], 0.5 + np.arange(cells))
         np.testing.assert_array_equal(table.dcol[0, :cells, 0], 1 + np.arange(cells))
         assert not table.dcol[0, cells:, 0].any()
-
-
-def test_a_corner_stops_a_beam_by_its_x_neighbour_only():
-    occupied = maps.walls("""
-        ####
-        #.##
-        #..#
-        ####
-    """)
-    lidar = Lidar(n_beams=1, range_m=9)
-    hits, _ = sense(occupied, 1, 1, 1, lidar)  # through the corner into the free x-neighbour, then into the block
-    assert np.argwhere(hits).tolist() == [[2, 2]]
-    hits, _ = sense(occupied.T, 1, 1, 1, lidar)
-    assert np.argwhere(hits).tolist() == [[2, 2]]
-    occupied[1, 2] = True
-    hits, _ = sense(occupied, 1, 1, 1, lidar)
-    assert np.argwhere(hits).tolist() == [[1, 2]]
 
 
 def test_angles_by_hand():

@@ -83,11 +83,6 @@ def test_a_room_with_a_wall_by_hand():
     np.testing.assert_array_equal(came[::-1], by_hand)
 
 
-def test_a_diagonal_needs_both_cells_beside_it():
-    for text, cost in {".. ..": D, "#. ..": 2 * S, ".. .#": 2 * S, "#. .#": FAR}.items():
-        assert int(reach(jnp.asarray(~maps.walls(text)), 0, 0)[1, 1]) == cost
-
-
 def test_the_nearest_source_of_a_long_map():
     """Rows that lie further from the first one than any path may be long."""
     free = np.zeros((3968, 32), bool)
@@ -310,15 +305,6 @@ def nearest(passable, sources, n):
     spare = -passable.shape[0] % bits.WORD
     padded = jnp.pad(sources, ((0, spare), (0, 0)), constant_values=-1)
     return nearest_source(bits.pack(passable), padded, n)[: passable.shape[0]]
-
-
-def test_the_nearest_source_by_hand():
-    passable = ~maps.walls("....#... .##.#.#. ...#..#.")
-    sources = np.full((3, 8), -1, np.int32)
-    sources[1, 0], sources[2, 3], sources[0, 7] = 1, 2, 0
-    # (2, 1) is two steps from source 1, around the corner, and two from source 2; no path leads through the wall
-    by_hand = [[1, 1, 2, 2, -1, 0, 0, 0], [1, -1, -1, 2, -1, 0, -1, 0], [1, 1, 1, -1, 0, 0, -1, 0]]
-    np.testing.assert_array_equal(nearest(passable, sources, 3)[::-1], by_hand)
 
 
 @given(place=places(((1, 8), (7, 9))), seed=st.integers(0, 2**30))

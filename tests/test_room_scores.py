@@ -39,13 +39,6 @@ def test_rooms_by_hand():
     assert rooms_of(free).dtype == np.int32
 
 
-def test_regions_by_hand():
-    labels, free = image("77.. 22.. 77.5"), image("11.1 1111 .1.1") > 0
-    # 7 forms a region of two parts, less the pixel that is not free; so does the bare patch at the right; 5 stays
-    np.testing.assert_array_equal(scored_regions(labels, free, min_px=0), image("00.1 2211 .0.3"))
-    np.testing.assert_array_equal(scored_regions(labels, free, min_px=2), image("00.1 ..11 .0.."))
-
-
 def test_score_by_hand():
     found = score(image("000111 000111"), image("00111. 001112"))
     # Overlaps, with regions down and rooms across; sizes are 4, 6, 1 and 6, 6; 11 pixels have both labels.
@@ -69,23 +62,6 @@ def test_score_by_hand():
     }
     kinds = {type(found[name]) for name in ("rooms", "rooms_truth", "room_count_error")}
     assert (kinds, {type(found[name]) for name in (*AGREEMENT, "variation_of_information")}) == ({int}, {float})
-
-
-@pytest.mark.parametrize(
-    ("truth", "predicted", "mcc"),
-    [
-        # The best pair first would give 3 pixels and nothing, the best matching 2 + 2: tp 2, fp 3, fn 0, tn 2.
-        ("0000011", "0001100", 2 * 4 / math.sqrt(5 * 2 * 5 * 2) / 2),
-        # Room 0 has 2 pixels of either region: tp 2, fp 0, fn 2, tn 2, or fp 1, tn 1; the second room is found exactly.
-        ("0000.11", "1100022", (1 / 2 + 1) / 3),
-        ("11.0000", "2200011", (1 / 2 + 1) / 3),
-        ("001.1", "00.1.", 0.5),  # a matched pair must overlap; tp 0 against the other room would count below zero
-        ("000.", "..00", -2 / math.sqrt(2 * 3 * 1 * 2)),  # tp 1, fp 1, fn 2 of 1 pixel with both: tn is 0, not -3
-        ("0000", "0011", 0.0),  # tp 2, fp 0, fn 2, tn 0: 0 / 0, and the pair is not identical
-    ],
-)
-def test_matching_by_hand(truth, predicted, mcc):
-    assert score(image(truth), image(predicted))["mcc"] == pytest.approx(mcc)
 
 
 @pytest.mark.parametrize(("truth", "predicted", "value"), [("..", "..", 1.0), ("00", "..", 0.0), ("..", "01", 0.0)])

@@ -83,12 +83,7 @@ COURSES = {(loops, repeat): course(7, loops=loops, repeat=repeat) for loops, rep
 
 
 @settings(max_examples=25)
-@given(
-    st.sampled_from(sorted(COURSES)),
-    st.integers(0, 10**6),
-    st.floats(0.1, 0.9),
-    st.sampled_from(range(0, 360, 45)),
-)
+@given(st.sampled_from(sorted(COURSES)), st.integers(0, 10**6), st.floats(0.1, 0.9), st.sampled_from(range(0, 360, 45)))
 def test_where_the_map_was_begun_before_does_not_matter(which, number, share, heading):
     whole = COURSES[which].course.topology
     side = whole.links[number % len(whole.links)]

@@ -1,6 +1,7 @@
 """Routes over a map for another robot: by pencil, compared with networkx, laws, and refusals."""
 
 import dataclasses
+import functools
 import itertools
 import json
 import math
@@ -8,10 +9,11 @@ import math
 import networkx
 import numpy as np
 import pytest
+import ref.traces
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ref.refusals import refused
-from ref.traces import chain
+from ref.traces import GOOD, chain, stub
 
 import jexplore as jx
 from jexplore.cli.main import main
@@ -19,19 +21,11 @@ from jexplore.driving.settings import ROBOTS
 from jexplore.report import store, trace_tables
 from jexplore.tracemap import shortest
 from jexplore.tracemap.json_form import to_json
-from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node
+from jexplore.tracemap.record import NOWHERE, BtmMap, Node
 
-GOOD = {"length_m": 5.0, "min_width_m": 1.0, "posture_deg": 1.0, "max_roll_deg": 1.0, "max_step_m": 0.0}
 LIFTED = "no measures of who could not pass; blocked set to false lifts it"
+way = functools.partial(ref.traces.way, **GOOD)
 KAMUI, WHEELED = ROBOTS["kamui"], ROBOTS["wheeled"]
-
-
-def way(number, start, end, start_deg, end_deg, **changed):
-    return Link(number, start, end, "searched", start_deg, end_deg, **{**GOOD, **changed})
-
-
-def stub(number, start, bearing_deg, **measures):
-    return Link(number, start, NOWHERE, "un-searched", bearing_deg, **measures)
 
 
 # A square, 0 below left, 1 right, 2 above, 3 above left, with a short cut from 0 to 2 over a step: link 4.

@@ -160,36 +160,6 @@ def critical_cells(skeleton, d2, criteria, size=150):
     return jnp.zeros(skeleton.size + 1, bool).at[at].set(True)[:-1].reshape(skeleton.shape)
 
 
-ARM = (2, 3, 2, 4, 4, 1, 1, 4, 3, 4, 2, 3)  # clearance along a chain from junction to junction
-
-
-def test_critical_points_of_a_chain_by_hand():
-    """Minima at 2, 5, 8 and 10, maxima at 1, 4, 7 and 9; of equal neighbours the lower index is the narrower."""
-    skeleton = maps.walls("#..........# ############ #..........#")
-    d2 = np.tile(np.square(ARM), (3, 1))
-
-    def columns(**changes):
-        given = criteria("thrun").replace(**changes)
-        found = critical_cells(jnp.asarray(skeleton), jnp.asarray(d2), given)
-        assert not found[0].any()
-        assert not found[2].any()
-        return np.flatnonzero(found[1]).tolist()
-
-    assert columns() == columns(prominence=0.0) == [2, 5, 8, 10]
-    # other minima and maxima on the way to a junction: one from 2, three and four from 5, two from 8, none from 10
-    assert columns(max_hops=MAX_HOPS["wurm"]) == [10]
-    assert columns(max_hops=MAX_HOPS["holz"]) == [2, 10]
-    assert columns(max_hops=3) == [2, 8, 10]
-    assert columns(max_hops=4) == [2, 5, 8, 10]
-    assert columns(max_hops=0) == []
-    assert columns(prominence=1.01) == [5]
-    assert columns(prominence=3.0) == [5]
-    assert columns(prominence=3.01) == []
-    alone = jnp.asarray(maps.walls("............ ############ ............"))  # no junction at its ends
-    for variant, expected in (("thrun", [2, 5, 8, 10]), ("holz", [])):
-        assert np.flatnonzero(critical_cells(alone, jnp.asarray(d2), criteria(variant))[1]).tolist() == expected
-
-
 chains = st.tuples(
     st.integers(0, 2**30), st.sampled_from((0.3, 0.6)), st.sampled_from((4, 10, 150)), st.sampled_from((0.0, 0.4, 1.0))
 )
@@ -211,26 +181,6 @@ def test_critical_points_are_the_oracles(case, max_hops):
 
 
 # ---------------------------------------------------------------- borders and merging
-
-
-@pytest.mark.parametrize(
-    ("shared", "group"),
-    [
-        # 0 and 1, 2 and 3, 4 and 5 are opposite sides
-        ({(0, 2): 3, (1, 2): 2}, [0, 1, 0, 3, 4, 5]),
-        ({(0, 2): 2, (1, 2): 3}, [0, 1, 1, 3, 4, 5]),
-        ({(0, 2): 2, (1, 2): 2}, [0, 1, 0, 3, 4, 5]),
-        ({(0, 1): 9}, [0, 1, 2, 3, 4, 5]),
-        # 1 joins 2, 3 joins 4: then 1 and 3 hold the sides of one split, and 0 must not meet 1 through 4
-        ({(1, 2): 5, (3, 4): 4, (2, 4): 3, (0, 4): 2}, [0, 1, 1, 0, 0, 5]),
-        ({}, [0, 1, 2, 3, 4, 5]),
-    ],
-)
-def test_merging_by_hand(shared, group):
-    given = np.zeros((6, 6), np.int32)
-    for pair, length in shared.items():
-        given[pair] = length
-    assert MERGED(jnp.asarray(given), jnp.arange(6)).tolist() == group
 
 
 def test_segments_that_grew_from_one_cell_are_one_from_the_start():

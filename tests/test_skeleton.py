@@ -49,18 +49,6 @@ VORONOI = jax.jit(graph_of, static_argnames="size")
 # ---------------------------------------------------------------- medial axis
 
 
-def test_the_axis_of_a_corridor_by_hand():
-    odd = maps.walls("####### #.....# #.....# #.....# #######")
-    # at either end the wall across is as near as those along it: the axis runs on into the corners
-    expected = maps.walls("....... .#...#. ..###.. .#...#. .......")
-    # (1, 1) is nearest to (1, 0) and (1, 2) to (0, 2), which is sqrt(5) cells away
-    np.testing.assert_array_equal(axis(jnp.asarray(odd), jnp.float32(2.23)), expected)
-    expected = maps.walls("....... ....... ..###.. ....... .......")
-    np.testing.assert_array_equal(axis(jnp.asarray(odd), jnp.float32(2.24)), expected)
-    assert axis(jnp.asarray(odd), jnp.float32(3.99))[2, 3]
-    assert not axis(jnp.asarray(odd), jnp.float32(4)).any()
-
-
 def test_the_axis_of_a_cross_by_hand():
     cross = ~maps.walls("""
         .........
@@ -120,30 +108,6 @@ def test_thinning_is_scikit_images(mask):
 
 
 # ---------------------------------------------------------------- graph
-
-
-def test_a_corner_of_a_line_is_not_a_junction():
-    skeleton = maps.walls("""
-        #....
-        .#...
-        .###.
-    """)
-    found = GRAPH(jnp.asarray(skeleton), jnp.full((3, 5), 7), size=6)
-    assert found.cell.tolist() == [1, 2, 3, 6, 10, 15]
-    # (0, 2) and (1, 1) touch at their corners, but (0, 1) lies between them
-    assert found.degree.tolist() == [2, 2, 1, 2, 1, 0]
-    assert found.d2.tolist() == [7, 7, 7, 7, 7, 0]
-    np.testing.assert_array_equal(
-        found.link,
-        [
-            [1, 3, 6, 6, 6, 6, 6, 6],
-            [2, 6, 0, 6, 6, 6, 6, 6],
-            [6, 6, 1, 6, 6, 6, 6, 6],
-            [6, 6, 6, 0, 6, 4, 6, 6],
-            [6, 6, 6, 6, 6, 6, 6, 3],
-            [6, 6, 6, 6, 6, 6, 6, 6],
-        ],
-    )
 
 
 @given(masks(), st.booleans())

@@ -69,13 +69,6 @@ def test_poses_by_pencil():
 # --- scans
 
 
-def test_normals_of_a_corner_point_to_the_scanner():
-    angles = np.radians([-20, -10, -5, 0, 5, 10, 20, 70, 80, 85, 90, 95, 100])
-    scan = scan_of((0, 0, 0), ((1, -3, 1, 3), (3, 1, -3, 1)), angles)
-    np.testing.assert_allclose(scan.normal[3], [-1, 0], atol=1e-5)
-    np.testing.assert_allclose(scan.normal[10], [0, -1], atol=1e-5)
-
-
 @few
 @given(st.floats(0.5, 5.5), st.floats(0.5, 2.4), st.floats(-3, 3))
 def test_ends_and_normals_equal_the_scatter_matrix(x, y, heading):
@@ -99,19 +92,6 @@ def ask(points, xy):
     x, y = jnp.float32(xy).T
     found = partners(points, *cells_of(OWN, points, x, y), x, y)
     return np.stack([found.x, found.y], axis=1), np.asarray(found.d2)
-
-
-def test_a_map_by_pencil():
-    xy = jnp.float32([[1, 0], [1.03, 0], [1.06, 0], [1, 0.2], [4, 0]])
-    scan = Scan(xy, jnp.zeros((5, 2)), jnp.array([True, True, True, False, True]))
-    pose = jnp.float32([10, 0, np.pi / 2])
-    points = add(OWN, empty_map((80, 80, 4), (10, 1)), scan, pose)  # 2.8 m square
-    np.testing.assert_allclose(stored(points)[0], [[10, 1], [10, 1.06]], atol=1e-5)
-    assert points.overflow == 0
-    found, d2 = ask(points, [[10.02, 1.08], [9.0, 1.0]])
-    np.testing.assert_allclose(found[0], [10, 1.06], atol=1e-5)
-    assert d2[1] == np.inf
-    assert int(add(OWN, points, scan, pose).count) == 2
 
 
 def test_a_full_map_counts_what_found_no_room():

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ref import maps
 
 from jexplore.arrays import bits, groups
 
@@ -19,30 +18,6 @@ masks = st.tuples(st.sampled_from(SHAPES), st.sampled_from((0.0, 0.02, 0.5, 1.0)
     lambda case: np.random.default_rng(case[2]).random(case[0]) < case[1]
 )
 LISTED = jax.jit(groups.list_cells, static_argnames="size")
-
-
-def test_a_list_by_hand():
-    cells = LISTED(jnp.asarray(maps.walls("##.. ..#. ..#.")), size=5)
-    assert cells.cell.dtype == cells.near.dtype == jnp.int32
-    assert cells.cell.tolist() == [2, 6, 8, 9, 12]
-    np.testing.assert_array_equal(
-        cells.near,  # E, N, W, S, NE, NW, SW, SE
-        [
-            [5, 1, 5, 5, 5, 5, 5, 5],
-            [5, 5, 5, 0, 5, 3, 5, 5],
-            [3, 5, 5, 5, 5, 5, 5, 5],
-            [5, 5, 2, 5, 5, 5, 5, 1],
-            [5, 5, 5, 5, 5, 5, 5, 5],
-        ],
-    )
-    assert int(cells.overflow) == 0
-
-
-def test_cells_that_do_not_fit_are_counted():
-    cells = LISTED(jnp.asarray(maps.walls("####")), size=3)
-    assert cells.cell.tolist() == [0, 1, 2]
-    assert cells.near[:, 0].tolist() == [1, 2, 3]
-    assert int(cells.overflow) == 1
 
 
 def test_values_at_listed_places():
@@ -57,6 +32,7 @@ def test_values_at_listed_places():
 def test_a_list_is_numpys(mask):
     size = 80
     cells = LISTED(jnp.asarray(mask), size=size)
+    assert cells.cell.dtype == cells.near.dtype == jnp.int32
     flat = np.flatnonzero(mask)
     kept = flat[:size]
     assert cells.cell.tolist() == kept.tolist() + [mask.size] * (size - len(kept))
@@ -71,15 +47,6 @@ def test_a_list_is_numpys(mask):
 
 PACK, NTH = jax.jit(bits.pack), jax.jit(bits.nth_cells)
 FIRST = jax.jit(bits.first_cells, static_argnames="size")
-
-
-def test_cells_by_their_number_by_hand():
-    words = PACK(jnp.asarray(maps.walls("..#.# ..... #....")))
-    found = NTH(words, jnp.asarray([2, 0, 1, 3, 99]))
-    assert found.dtype == jnp.int32
-    assert found.tolist() == [14, 0, 12, 160, 160]
-    assert FIRST(words, size=2).tolist() == [0, 12]
-    assert FIRST(words, size=4).tolist() == [0, 12, 14, 160]
 
 
 @given(masks, st.integers(0, 2**30))

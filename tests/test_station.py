@@ -10,7 +10,7 @@ import re
 import pytest
 from ref import browser
 from ref.browser import TIMERS, assert_alone, data_of
-from ref.traces import chain, node, stub, way
+from ref.traces import FIRST, GOOD, SECOND, chain, node, stub, way
 
 import jexplore as jx
 from jexplore.cli.main import main
@@ -26,7 +26,7 @@ from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLE_SHAPES, BtmMa
 
 # The last half a character stays out of the maps: a browser that dumps it to a file dies.
 NASTY = "</script><script>boom()</script> \"T\" & 'q' {{data}} <!-- straße 通路 \u2028"
-GOOD = {"length_m": 5.0, "min_width_m": 1.0, "posture_deg": 1.0, "max_roll_deg": 1.0, "max_step_m": 0.0}
+THERE = moved_map(SECOND, Move(2.0, -1.0, 90.0))
 BLOCKED = "blocked: no measures of who could not pass; blocked set to false lifts it"
 # A square, 0 below left, 1 right, 2 above, 3 above left, with a short cut from 0 to 2 over a step: link 4.
 SQUARE = BtmMap(
@@ -45,24 +45,6 @@ SQUARE = BtmMap(
         stub(5, 2, 0, opening_m=0.8),
     ),
 )
-
-
-def first():
-    """A map that `second` has three nodes in common with."""
-    nodes = (node(0, "T", 0, 0), node(1, "D", 4, 0), node(2, "F", 13, 0))
-    return BtmMap(
-        (*nodes, node(3, "D", 13, -6, attributes={"victim": True})),
-        (way(0, 0, 1, 0, length_m=4.0), way(1, 1, 2, 0, length_m=9.0, opening_m=2.3), stub(2, 1, 90, opening_m=1.2),
-         way(3, 2, 3, 270, length_m=6.0), stub(4, 3, 0)),
-    )  # fmt: skip
-
-
-def second():
-    """The same place from the other end, with another word about node 3, and further up at node 1."""
-    base = first()
-    nodes = [*base.nodes[1:3], dataclasses.replace(base.nodes[3], attributes={"victim": False}), node(4, "T", 4, 5)]
-    links = (*base.links[1:2], *base.links[3:], stub(8, 1, 180), way(9, 1, 4, 90, length_m=5.0, opening_m=1.2))
-    return moved_map(BtmMap(tuple(nodes), links), Move(2.0, -1.0, 90.0))
 
 
 def panel_of(btm):
@@ -100,26 +82,33 @@ def test_refusals_of_robots_with_a_name_by_hand():
 
 def test_maps_that_fit_are_one_and_others_stand_apart():
     apart = chain("TDFDT", [(1, 90)])
-    panels, said = panels_of([first(), second(), apart], ["a", "b", "c"])
+    panels, said = panels_of([FIRST, THERE, apart], ["a", "b", "c"])
     assert [(panel.name, panel.maps) for panel in panels] == [(GLOBAL_MAP, ("a", "b")), ("c", ("c",))]
-    assert panels[0].map == merge_maps([first(), second()], ["a", "b"]).map
+    assert panels[0].map == merge_maps([FIRST, THERE], ["a", "b"]).map
     assert panels[0].note == "In the frame of a."
     assert panels[1].map == check_map(apart)
     assert panels[1].note == "Stands apart: it has not enough in common with the other maps."
     assert said == ["node 3: victim is True in a and False in b"]
-    data = data_of(jx.btm.station([first(), second(), apart], ["a", "b", "c"]))
+    data = data_of(jx.btm.station([FIRST, THERE, apart], ["a", "b", "c"]))
     assert data["writers"] == ["a", "b", "c"]
     assert data["notes"] == said
     nodes = data["panels"][0]["nodes"]
-    assert [one["from"] for one in nodes] == [{"a": 0}, {"a": 1, "b": 1}, {"a": 2, "b": 2}, {"a": 3, "b": 3}, {"b": 4}]
+    assert [one["from"] for one in nodes] == [
+        {"a": 0},
+        {"a": 1, "b": 8},
+        {"a": 2, "b": 7},
+        {"a": 3, "b": 10},
+        {"b": 0},
+        {"b": 9},
+    ]
     told = [{"from": ["a"], "value": True}, {"from": ["b"], "value": False}]
     assert (nodes[3]["attributes"], nodes[3]["conflicts"]) == ({}, {"victim": told})
     assert [one["from"] for one in data["panels"][1]["nodes"]] == [{"c": i} for i in range(5)]
 
 
 def test_maps_none_of_which_fits_stand_each_alone():
-    panels, said = panels_of([chain("TDT"), first()], ["a", "b"])
-    assert [(panel.name, panel.map) for panel in panels] == [("a", check_map(chain("TDT"))), ("b", check_map(first()))]
+    panels, said = panels_of([chain("TDT"), FIRST], ["a", "b"])
+    assert [(panel.name, panel.map) for panel in panels] == [("a", check_map(chain("TDT"))), ("b", check_map(FIRST))]
     assert {panel.note for panel in panels} == {"Stands apart: no two of the maps have enough in common."}
     assert said == []
     ring = BtmMap(  # looks the same after half a turn
@@ -140,17 +129,17 @@ def test_those_left_apart_are_merged_among_themselves():
          stub(4, 0, 130)),
     )  # fmt: skip
     again = moved_map(other, Move(1.0, 2.0, 30.0))
-    panels, _ = panels_of([first(), other, second(), again], ["a", "b", "c", "d"])
+    panels, _ = panels_of([FIRST, other, THERE, again], ["a", "b", "c", "d"])
     assert [panel.maps for panel in panels] == [("a", "c"), ("b", "d")]
     assert panels[1].name == "b and d"
     assert panels[1].note == ("Stands apart: it has not enough in common with the other maps. In the frame of b.")
 
 
 def test_a_merged_map_says_whom_it_is_of():
-    merged = merge_maps([first(), second()], ["a", "b"]).map
+    merged = merge_maps([FIRST, THERE], ["a", "b"]).map
     data = data_of(jx.btm.station([merged], ["global"]))
     assert data["writers"] == ["a", "b"]
-    assert data["panels"][0]["nodes"][1]["from"] == {"a": 1, "b": 1}
+    assert data["panels"][0]["nodes"][1]["from"] == {"a": 1, "b": 8}
     assert data["notes"] == ["node 3: victim is True in a and False in b"]
 
 
@@ -166,7 +155,7 @@ def test_no_text_leaves_its_place():
 
 
 def test_nothing_outside_is_asked_for():
-    assert_alone(jx.btm.station([first(), second()]))
+    assert_alone(jx.btm.station([FIRST, THERE]))
 
 
 # The script compared with the rules in Python
@@ -445,14 +434,14 @@ const wait = (ms = 60) => new Promise((done) => setTimeout(done, ms));
 
 @pytest.mark.slow
 def test_maps_apart_are_asked_one_by_one(body):
-    maps = (btm.with_attributes(own) for btm, own in ((first(), {"robot": "kamui"}), (second(), {"robot": "wheeled"})))
+    maps = (btm.with_attributes(own) for btm, own in ((FIRST, {"robot": "kamui"}), (THERE, {"robot": "wheeled"})))
     page = jx.btm.station([*maps, chain("TDFDT").with_attributes({"seed": 3})], ["a", NASTY, "c"])
     seen = json.loads(body(page, APART)["test"])
     assert seen["captions"] == [
         f"{GLOBAL_MAP}a, {NASTY}. In the frame of a.Enlarge",
         "cStands apart: it has not enough in common with the other maps.Enlarge",
     ]
-    assert seen["about"] == [f"About the map: 1robot: kamui (a) or wheeled ({NASTY})"]
+    assert seen["about"] == [f"About the map: 2frame: odomrobot: kamui (a) or wheeled ({NASTY})"]
     assert (seen["first"]["map"], seen["second"]["map"], seen["large"]) == (GLOBAL_MAP, "c", "c")
     assert (seen["froms"], seen["route"]["links"]) == (6, [0, 1, 2, 3])
 
@@ -487,7 +476,7 @@ def test_maps_of_one_node_or_none_open_too(body, btm, nodes):
 @pytest.fixture
 def files(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for name, btm in (("a", first()), ("b", second()), ("c", chain("TDFDT"))):
+    for name, btm in (("a", FIRST), ("b", THERE), ("c", chain("TDFDT"))):
         (tmp_path / f"{name}.json").write_text(json.dumps(json_form.to_json(btm)))
     (tmp_path / "text.json").write_text("[1]")
     return tmp_path
@@ -496,8 +485,8 @@ def files(tmp_path, monkeypatch):
 def test_the_command_writes_a_page(files, capsys):
     assert main(["station", "a.json", "b.json", "c.json", "--out", "page.html"]) == 0
     out, err = capsys.readouterr()
-    assert (files / "page.html").read_text() == jx.btm.station([first(), second(), chain("TDFDT")], ["a", "b", "c"])
-    assert "| global map | a, b |     5 |              4 |           1 |" in out
+    assert (files / "page.html").read_text() == jx.btm.station([FIRST, THERE, chain("TDFDT")], ["a", "b", "c"])
+    assert "| global map | a, b |     6 |              5 |           2 |" in out
     assert "c: Stands apart: it has not enough in common with the other maps." in out
     assert "node 3: victim is True in a and False in b" in out
     assert out.endswith("wrote page.html\n")

@@ -11,7 +11,7 @@ from jexplore.driving.building.walls import cast
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import Surround, Walls
 from jexplore.driving.sensing import surround
-from jexplore.driving.sensing.surround import DIRECTION, DIRECTIONS, SECTORS
+from jexplore.driving.sensing.surround import DIRECTIONS, SECTORS
 from jexplore.driving.settings import ROBOTS
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, SCAN_RANGE_M
 
@@ -77,16 +77,6 @@ def test_nothing_is_known_at_first():
     assert not surround.known_points(MOVE(around, 1.0, 2.0, 3.0))[1].any()
 
 
-def test_the_way_is_that_of_the_old_frame_and_the_left_comes_ahead():
-    after = MOVE(of((3, 1)), 1.0, 0.5, math.pi / 2)  # (2, 0.5) before the turn
-    np.testing.assert_allclose(known_of(after), [[0.5, -2]], atol=1e-6)
-
-
-@pytest.mark.parametrize(("ahead_m", "is_kept"), [(0.01, True), (-0.01, False)])
-def test_a_point_is_forgotten_beyond_the_memory(ahead_m, is_kept):
-    assert len(known_of(MOVE(of((4.0, 0)), ahead_m, 0.0, 0.3, far_m=4.0))) == is_kept
-
-
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_motion_is_rigid(seed):
     rng = np.random.default_rng(seed)
@@ -97,21 +87,6 @@ def test_a_motion_is_rigid(seed):
     found = known_of(MOVE(of(*xy), ahead, aside, turn, far_m=4.0)) @ (1, 1j)
     assert len(found) == len(z) < len(xy)
     np.testing.assert_allclose(found, z, atol=1e-5)
-
-
-def test_before_the_robot_the_scan_is_all_there_is():
-    before = of((1, 0), (0, 1), (3, 3))
-    after = ADD_SCAN(before, scan(left_0=2.5, left_45=1.0))
-    assert at(after, 0) == pytest.approx((2.5, 0))
-    assert at(after, 45) == pytest.approx((math.sqrt(0.5),) * 2)
-    gone = ADD_SCAN(before, scan(left_0=INF))
-    np.testing.assert_allclose(known_of(gone), [(3, 3), (0, 1)], atol=1e-6)
-
-
-def test_a_beam_without_a_reading_changes_nothing():
-    before = of((1, 0), (0, 1), (-2, 0.5), (3, -3))
-    after = ADD_SCAN(before, jnp.full(BEAMS, NAN))
-    np.testing.assert_array_equal([after.x_m, after.y_m], [before.x_m, before.y_m])
 
 
 def test_of_two_points_in_one_direction_the_nearer_is_kept():
@@ -170,10 +145,7 @@ def beside(left_m, right_m, turn=0.0):
     return of(*sorted(zip(z.real, z.imag), key=lambda xy: -math.hypot(*xy)))  # the nearest last: it stays
 
 
-@pytest.mark.parametrize(
-    ("left_m", "right_m", "degrees"),
-    [(1, 1, 0), (1, 1, -50), (0.6, 1.4, 20), (1.2, 0.5, -20)],
-)
+@pytest.mark.parametrize(("left_m", "right_m", "degrees"), [(1, 1, 0), (1, 1, -50), (0.6, 1.4, 20), (1.2, 0.5, -20)])
 def test_the_edge_of_a_passage_is_its_middle(left_m, right_m, degrees):
     along, off = EDGE(beside(left_m, right_m, math.radians(degrees)))
     assert math.degrees(float(along)) == pytest.approx(-degrees, abs=2)  # points lie 2 cm apart
@@ -204,14 +176,6 @@ def free_until(xy, sign, step, margin_m):
     return (next(met, turns[-1] + 1) - 1) * step
 
 
-def test_a_point_at_the_side_is_met_by_the_front_from_one_side_and_the_rear_from_the_other():
-    """Robot of 0.76 m x 0.45 m, margins included; a point 0.3 m to the left, 0.1 m before the middle."""
-    left, right = FREE_TURN(of((0.1, 0.3)))
-    bearing, half = math.atan2(0.3, 0.1), math.asin(0.225 / math.hypot(0.1, 0.3))
-    assert STEP * math.floor((bearing - half) / STEP) == pytest.approx(float(left), abs=1e-5)
-    assert STEP * math.floor((math.pi - bearing - half) / STEP) == pytest.approx(float(right), abs=1e-5)
-
-
 @pytest.mark.parametrize("seed", SEEDS)
 def test_free_turns_are_those_of_a_rectangle_that_is_turned(seed):
     rng = np.random.default_rng(seed)
@@ -223,15 +187,6 @@ def test_free_turns_are_those_of_a_rectangle_that_is_turned(seed):
     # In fine steps, without the margin: as far as it says, nothing is touched.
     for angle, sign in zip(found, (1, -1)):
         assert angle <= free_until(xy, sign, math.radians(0.25), 0.0) + 1e-5
-
-
-def test_the_way_ahead_ends_at_the_nearest_point_that_is_as_wide_as_the_robot():
-    half = KAMUI.width_m / 2 + P.sensing.outline_margin_m
-    ahead = DIRECTIONS // 2
-    assert DIRECTION[ahead] == 0
-    for xy, long_m in (((2, half - 0.01), 2), ((2, half + 0.01), INF), ((-2, 0), INF), ((0.1, 0.2), 0.1)):
-        assert float(FREE_LENGTHS(of(xy))[ahead]) == pytest.approx(long_m - KAMUI.length_m / 2)
-    assert float(FREE_LENGTHS(of((0, 3)))[ahead + DIRECTIONS // 4]) == pytest.approx(3 - KAMUI.length_m / 2)
 
 
 @pytest.mark.parametrize("seed", SEEDS)

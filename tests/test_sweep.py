@@ -98,10 +98,7 @@ def test_parameters_of_strategies_are_axes():
         ({"worlds": ["a"], "draws": 3, "lidar": {"range_m": {"low": 3, "high": 1}}}, "high must be a number above 3"),
         ({"worlds": ["a"], "draws": 3, "lidar": {"range_m": {"low": 0, "high": 1, "log": True}}}, "low must be"),
         ({"worlds": ["a"], "draws": 3, "lidar": {"range_m": {"lo": 1, "high": 3}}}, "unknown word in the range"),
-        (
-            {"worlds": ["a"], "settings": [{"lidar.rangem": 3}]},
-            "unknown setting 'lidar.rangem'; did you mean 'li",
-        ),
+        ({"worlds": ["a"], "settings": [{"lidar.rangem": 3}]}, "unknown setting 'lidar.rangem'; did you mean 'li"),
         ({"worlds": ["a"], "settings": [3]}, "settings must be mappings"),
         ({"worlds": ["a"], "settings": [{"lidar.range_m": 3}] * 2}, "settings must differ"),
         ({"worlds": ["a"], "seed": [1, 1]}, "settings must differ"),
@@ -109,10 +106,7 @@ def test_parameters_of_strategies_are_axes():
             {"worlds": ["a"], "lidar": {"range_m": 2}, "settings": [{"lidar.range_m": 3}]},
             "lidar.range_m is given twice",
         ),
-        (
-            {"worlds": ["a"], "seed": list(range(1000)), "cell_m": [0.1 + i for i in range(101)]},
-            "100,000 settings",
-        ),
+        ({"worlds": ["a"], "seed": list(range(1000)), "cell_m": [0.1 + i for i in range(101)]}, "100,000 settings"),
         ({"worlds": ["a"], "strategies": [{"nam": "x"}]}, "a strategy must be a name, or a mapping"),
         ({"worlds": ["a"], "strategies": [{"name": "x", "mode": None}]}, "x: mode must be a number, a truth value or"),
         ({"worlds": ["a"], "strategies": [{"name": "x", "mode": ["a,b"]}]}, "a plain word, got 'a,b'"),

@@ -173,15 +173,6 @@ def test_on_a_slope_the_pitch_is_its_angle_and_nose_up_is_negative(degrees):
 
 
 @pytest.mark.jit
-def test_aslant_on_a_slope_both_share_it():
-    terrain = ground(slope_of(TEN))
-    for heading in (0.4, 2.0, math.pi / 2, -math.pi / 2):  # roll: the left side up
-        pitch, roll, *_ = stands(terrain, 50.5 * CELL_M, 1.5, heading)
-        assert math.tan(pitch) == pytest.approx(-math.tan(TEN) * math.cos(heading), abs=1e-4)
-        assert math.tan(roll) == pytest.approx(-math.tan(TEN) * math.sin(heading), abs=1e-4)
-
-
-@pytest.mark.jit
 def test_a_single_step_lifts_the_nose():
     terrain = ground(np.repeat([0, 0.1], 40))
     level = stands(terrain, 2.0 - 0.4, 0.75)
@@ -221,15 +212,6 @@ def test_half_a_turn_swaps_the_signs():
         there = stands(terrain, x, y, heading)
         back = stands(terrain, x, y, heading + math.pi)
         np.testing.assert_allclose(back[:3], np.array([-1, -1, 1]) * np.array(there[:3]), atol=1e-4)
-
-
-@pytest.mark.jit
-@pytest.mark.parametrize("degrees", [0, 45])
-def test_looking_at_level_ground(degrees):
-    tilt = math.radians(degrees)
-    direction = np.array([[math.sin(tilt), 0, -math.cos(tilt)]], np.float32)
-    seen = one_look_at(terrain_of(None, 0.1), (1.0, 1.0, 0.5), direction)
-    assert float(seen[0]) == pytest.approx(0.5 / math.cos(tilt), abs=5e-4)
 
 
 @pytest.mark.jit

@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from ref.browser import assert_alone, data_of
+from ref.refusals import refused
 from ref.traces import T_LEFT, T_RIGHT
 
 from jexplore import btm
 from jexplore.cli import main
-from jexplore.config import InputError
 from jexplore.studies.traces import job
 from jexplore.studies.traces.teams import clock, counts, team
 from jexplore.tracemap import json_form
@@ -189,8 +189,7 @@ def test_bad_input_is_one_line(options, says, tmp_path, capsys):
 
 
 def test_names_are_checked_in_python():
-    with pytest.raises(InputError, match="robots must be an integer"):
-        team.trace_team("course", robots=True)
+    refused("robots must be an integer", team.trace_team, "course", robots=True)
 
 
 @pytest.mark.slow

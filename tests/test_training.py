@@ -154,7 +154,6 @@ def test_a_reference_may_fail_in_some_worlds(monkeypatch):
     np.testing.assert_allclose(found, bank.log_ratio(values[1:], values[0]))
 
 
-@pytest.mark.jit
 def test_a_reference_that_finishes_nothing_is_refused():
     own = bank.prepare_bank(SMALL[0], lidar=NEAR, rules=Rules(max_steps=5))
     refused("finishes no episode in rooms#1000", own.log_ratios, [parse_strategy("closest")], [0, 0], 0)

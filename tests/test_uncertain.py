@@ -116,13 +116,6 @@ def test_on_the_lattice_cells_are_those_of_the_table():
 # --- odometry
 
 
-def test_encoders_by_pencil():
-    draws = np.array([1.0, -1.0, 2.0, 0.5], np.float32)
-    way, turn = encoded(ROUGH, jnp.float32(0.25), jnp.float32(-0.64), jnp.float32(0.25), draws)
-    assert way == pytest.approx(0.25 * 1.05 * 1.1 + 0.02 * 0.5 * 0.8, rel=1e-5)
-    assert turn == pytest.approx(0.95 * -0.64 * 0.9 + np.radians(5) * 2 * 0.5 + np.radians(3) * 0.25, rel=1e-5)
-
-
 def test_the_stated_covariance_is_that_of_draws():
     noise = Odometry(length=0.1, turn=0.1, heading_deg_sqrt_m=5, length_m_sqrt_rad=0.02, slip=0)
     draws = np.random.default_rng(0).normal(size=(4, 20000)).astype(np.float32)
@@ -400,8 +393,7 @@ def test_an_episode_is_drawn_with_both_ways_and_not_replayed(by_pose, tmp_path):
 @pytest.mark.jit
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("pose", "noise", "outcome"),
-    [("icp", {"slip": 0.5}, "LOST"), ("odometry", {"turn_scale": 2.0}, "INCONSISTENT")],
+    ("pose", "noise", "outcome"), [("icp", {"slip": 0.5}, "LOST"), ("odometry", {"turn_scale": 2.0}, "INCONSISTENT")]
 )
 def test_bad_odometry_ends_episodes(pose, noise, outcome):
     """Half of every turn is lost, more than a search allows for; walls are counted all round the robot."""

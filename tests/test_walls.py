@@ -59,31 +59,12 @@ def test_a_map_without_free_cells_has_no_walls():
     assert np.isinf(cast(walls, (0.2, 0.2, 0.3), QUARTERS, 9.0)).all()
 
 
-def test_ranges_by_hand():
-    walls = walls_of(BOX, 0.5)
-    ranges = cast(walls, (1.0, 0.75, 0.0), np.radians([0, 90, 180, -90, 45, -135]).astype(np.float32), 9.0)
-    root = math.sqrt(2)
-    np.testing.assert_allclose(ranges, [1.0, 0.75, 0.5, 0.25, 0.75 * root, 0.25 * root], atol=1e-5)
-    turned = cast(walls, (1.0, 0.75, math.pi / 2), QUARTERS, 9.0)
-    np.testing.assert_allclose(turned, [0.75, 0.5, 0.25, 1.0], atol=1e-5)
-
-
 def test_a_wall_at_the_range_or_beyond_gives_inf():
     walls = walls_of(BOX, 1.0)
     pose = 2.0, 2.0, 0.0
     np.testing.assert_array_equal(cast(walls, pose, QUARTERS[:1], 2.0), [np.inf])
     np.testing.assert_allclose(cast(walls, pose, QUARTERS[:1], 2.001), [2.0], atol=1e-6)
     np.testing.assert_array_equal(np.isinf(cast(walls, pose, QUARTERS, 1.5)), [True, False, False, False])
-
-
-def test_what_lies_behind_is_not_seen():
-    """One wall alone: its line goes on behind the robot, its segment does not go on at all."""
-    none = np.full((1, 3), UNUSED_SLOT_M, np.float32)
-    walls = Walls(x=np.array([[2, -1, 1]], np.float32), y=none)
-    np.testing.assert_allclose(cast(walls, (0.5, 0.5, 0.0), QUARTERS, 9.0), [1.5, np.inf, np.inf, np.inf])
-    np.testing.assert_allclose(cast(walls, (3.5, 0.5, 0.0), QUARTERS, 9.0), [np.inf, np.inf, 1.5, np.inf])
-    np.testing.assert_array_equal(cast(walls, (0.5, 1.5, 0.0), QUARTERS, 9.0), [np.inf] * 4)
-    np.testing.assert_array_equal(cast(walls, (0.5, -1.5, 0.0), QUARTERS, 9.0), [np.inf] * 4)
 
 
 @pytest.mark.parametrize(("quarter", "aside"), [(0, 1e-3), (1, 0.01), (2, 0.5), (3, 1e-3)])

@@ -110,20 +110,6 @@ def test_small_rooms_face_each_other_across_a_corridor_narrower_than_they_are():
     np.testing.assert_array_equal(found_in(free, ratio=0.65, narrowing=0.0).label, alone)
 
 
-def test_a_niche_beside_a_door_is_no_room_and_hides_no_door():
-    check("""
-        ###################
-        #aaaaaa####bbbbbbb#
-        #aaaaaa####bbbbbbb#
-        #aaaaaaa###bbbbbbb#
-        #aaaaaa++++bbbbbbb#
-        #aaaaaaa###bbbbbbb#
-        #aaaaaa####bbbbbbb#
-        #aaaaaa####bbbbbbb#
-        ###################
-        """)
-
-
 def test_a_leg_of_a_table_is_clutter():
     with_leg = TWO_ROOMS.split("\n")
     with_leg[4] = "#aaa##aaa#bbbbbbbb#"
@@ -157,39 +143,6 @@ def test_clutter_by_hand(ground, drawn_on, size, edges, expected):
     for cells in expected:
         clutter[cells] = True
     np.testing.assert_array_equal(CLUTTER(jnp.asarray(free), size, edges=edges)[0], clutter)
-
-
-def test_a_closet_is_part_of_what_it_opens_to():
-    closet = """
-        ###################
-        #aaaaaaaaaaaaaaaaa#
-        #aaaaaaaaaaaaaaaaa#
-        #aaaaaaaaaaaaaaaaa#
-        #aaaaaaaaaaaaaaaaa#
-        ########%##########
-        ######%%%%%########
-        ######%%%%%########
-        ######%%%%%########
-        ###################
-        """
-    check(closet.replace("%", "a"))  # 11 cells of 0.25 m: 0.7 m2
-    check(closet.replace("########%", "########+").replace("%", "b"), smallest_m2=0.5)
-
-
-def test_a_frontier_is_no_wall():
-    """Half a room is known: the unknown half makes no narrow place of the strip along its frontier."""
-    text = """
-        ##############
-        #aaaaaa#?????#
-        #aaaaaaa?????#
-        #aaaaaa#?????#
-        #aaaaaa##?####
-        #aaaaaa#?????#
-        #aaaa????????#
-        #aaa?????????#
-        ##############
-        """
-    check(text)
 
 
 def test_no_free_space_and_no_wall():
@@ -238,9 +191,6 @@ def test_rooms_are_the_oracles_on_many_maps():
         (label, ways), (expected, expected_ways) = both(seed, DENSITIES[seed % 3], RATIOS[seed // 3 % 3])
         assert rooms.same_partition(label, expected), seed
         assert ways == expected_ways, seed
-
-
-# ---------------------------------------------------------------- laws
 
 
 # ---------------------------------------------------------------- bad input

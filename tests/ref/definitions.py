@@ -1,22 +1,11 @@
-"""Definitions on whole arrays, one at a time, of what the kernels make packed, in one go, or only along a route."""
+"""The last motion to every cell, which the kernels make along a route only."""
 
 import jax
 import jax.numpy as jnp
 
-from jexplore.frontier import disc
-from jexplore.grid import any_within_one, beside, bordered, is_known
+from jexplore.grid import beside, bordered
 from jexplore.planning.readout import _enterable, _last_motion
 from jexplore.reach import FAR
-
-
-def traversable_cells(clear, free, driven, row, col, near_d2):
-    """Cells that a path may use, `[H, W]`: clear ones, free ones near the robot, and the way that it has driven."""
-    return clear | (free & disc(clear.shape, row, col, near_d2)) | driven
-
-
-def frontier_cells(clear, grid, inside):
-    """Clear cells that are 8-adjacent to an unknown cell, `[H, W]`; padding is outside and never unknown."""
-    return clear & any_within_one(~is_known(grid) & inside)
 
 
 @jax.jit

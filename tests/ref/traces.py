@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from jexplore.tracemap.record import NOWHERE, OBSTACLE_SHAPES, STATUS, BtmMap, Link, Node, check_map
 from jexplore.tracemap.similarity import code, tree_of
 
+GOOD = {"length_m": 5.0, "min_width_m": 1.0, "posture_deg": 1.0, "max_roll_deg": 1.0, "max_step_m": 0.0}
 TYPES = {"T": "terminal", "D": "divergence", "F": "free_space", "O": "obstacle"}
 
 
@@ -38,6 +39,50 @@ T_LEFT, T_RIGHT = chain("TDT", [(1, 90)]), chain("TDT", [(1, -90)])
 SQUARE = BtmMap(
     tuple(node(i, "TDDD"[i]) for i in range(4)),
     (way(0, 0, 1, 0), way(1, 1, 2, 90), way(2, 2, 3, 180), way(3, 3, 0, 270)),
+)
+# Two robots in one building. The first comes from the west, the second starts south of the corner:
+#
+#            F4
+#            |                         The first knows T0, D1, D2, D3 and a way north of D1,
+#   T0 --4-- D1 ---9--- D2             the second T5, D2, D1, F4, D3 and a way west of D1.
+#                       |
+#                      (T5) 2.5 m below D2
+#                       |
+#                       D3- 6 m below D2
+FIRST = BtmMap(
+    (
+        node(0, "T", 0, 0),
+        node(1, "D", 4, 0),
+        node(2, "D", 13, 0, posture_deg=3.0),
+        node(3, "D", 13, -6, attributes={"victim": True}),
+    ),
+    (
+        way(0, 0, 1, 0, length_m=4.0, min_width_m=1.5),
+        way(1, 1, 2, 0, length_m=9.0, min_width_m=2.2, opening_m=2.3),
+        stub(2, 1, 90, opening_m=1.2),
+        way(3, 2, 3, 270, length_m=6.0, min_width_m=1.4, max_step_m=0.02),
+        stub(4, 3, 0),
+    ),
+    {"frame": "odom"},
+)
+SECOND = BtmMap(
+    (
+        node(0, "T", 13, -2.5),
+        node(7, "D", 13, 0, posture_deg=5.0, attributes={"radio_dbm": -61}),
+        node(8, "D", 4, 0),
+        node(9, "F", 4, 5),
+        node(10, "D", 13, -6, attributes={"victim": False}),
+    ),
+    (
+        way(0, 0, 7, 90, length_m=2.5, min_width_m=1.6),
+        way(1, 7, 8, 180, length_m=9.0, min_width_m=2.1),
+        way(2, 8, 9, 90, length_m=5.0, opening_m=1.2),
+        stub(3, 8, 180),
+        way(4, 0, 10, 270, length_m=3.5, min_width_m=1.3, posture_deg=2.0),
+        stub(5, 10, 0),
+        stub(6, 9, 90),
+    ),
+    {"frame": "odom"},
 )
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 PLAIN = st.recursive(
