@@ -207,13 +207,11 @@ def test_the_best_of_some_targets():
 @given(st.integers(0, 2**30), st.integers(0, 12))
 @settings(max_examples=20, deadline=None)
 def test_costs_between_cells_are_those_from_each(seed, n):
-    """More cells than copies of the map in the tiling, and fewer."""
     draw = np.random.default_rng(seed)
     passable = draw.random((7, 9)) < 0.75
     row, col = (draw.integers(0, size, 12).astype(np.int32) for size in passable.shape)
     passable[row, col] = True
     want = np.full((12, 12), FAR)
-    np.fill_diagonal(want, 0)
     for i in range(n):
         want[i, :n] = reach(passable, row[i], col[i])[row[:n], col[:n]]
     got = np.array(BETWEEN(passable, row, col, np.int32(n)))

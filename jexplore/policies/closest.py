@@ -1,7 +1,6 @@
 """Closest frontier: always go to the frontier cell with the shortest path.
 
-Holz et al. 2010, Figure 3. Yamauchi, "A Frontier-Based Approach for Autonomous Exploration", CIRA 1997, goes to the
-centroid of the nearest frontier region of a least size instead.
+Holz et al. 2010, Figure 3. Yamauchi 1997 goes to centroids of frontier regions (`peers.nearest_region`).
 """
 
 from typing import Any

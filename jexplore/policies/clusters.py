@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, Self
 
 import jax.numpy as jnp
-import numpy as np
 from flax import struct
 from jax import Array, lax
 
@@ -23,7 +22,6 @@ from jexplore.reach import FAR, STEPS, spread
 
 CLUSTERS = 128  # most clusters that are told apart
 COARSEST = 4  # cells a side, of the blocks that paths between clusters are measured in
-ACROSS = 3  # most copies of the map in the tiling, each way
 
 
 @struct.dataclass
@@ -152,35 +150,18 @@ def _costs_apart(belief, at, n, side):
 def costs_between(passable: Array, row: Array, col: Array, n: Array | int) -> Array:
     """Compute costs of the paths between the first n of some cells, `[M]` int32 each, all of them passable.
 
-    The map is tiled, up to `ACROSS` times each way, with walls between: one sweep along a row or a column serves a
-    source in each copy at little more cost than one. Returns `[M, M]` int32, as of `reach.reach`, symmetric, 0 on the
-    diagonal; arbitrary where not both are of the first n.
+    Returns `[M, M]` int32, as of `reach.reach`, symmetric; arbitrary where not both are of the first n.
     """
-    height, width = (size + 1 for size in passable.shape)
-    # From the corner outwards: few maps fill a small square, and the sweeps end at its edges.
-    tiles = np.array(sorted(np.ndindex(ACROSS, ACROSS), key=lambda tile: (max(tile), tile)), np.int32)
-    tile = lax.iota(jnp.int32, len(tiles))
-    top, left = jnp.asarray(tiles[:, 0] * height), jnp.asarray(tiles[:, 1] * width)
-    m, alone = row.shape[0], jnp.pad(passable, ((0, 1), (0, 1)))
+    words, m = bits.pack(passable), row.shape[0]
+    blank = jnp.full((bits.WORD * words.shape[0], words.shape[1]), FAR, jnp.int32)
 
     def measure(state):
-        first, table = state
-        source = first + tile
-        on = source < n - 1  # the last one's are known from the others
-        used = jnp.zeros((ACROSS, ACROSS), bool).at[tiles[:, 0], tiles[:, 1]].set(on)
-        walls = jnp.where(used[:, None, :, None], alone[None, :, None, :], False)
-        words = bits.pack(walls.reshape(ACROSS * height, ACROSS * width))
-        here = jnp.minimum(source, m - 1)
-        begin = jnp.full((bits.WORD * words.shape[0], words.shape[1]), FAR, jnp.int32)
-        begin = begin.at[jnp.where(on, top + row[here], begin.shape[0]), left + col[here]].set(0, mode="drop")
-        cost = spread(words, begin, (0, 0), None, jnp.int32(FAR), STEPS)
-        cost = cost[top[:, None] + row, left[:, None] + col]
-        going = first < n - 1
-        return first + jnp.where(going, len(tiles), 0), table.at[jnp.where(on, source, m)].set(cost, mode="drop")
+        i, table = state
+        here = jnp.minimum(i, m - 1)
+        cost = spread(words, blank.at[row[here], col[here]].set(0), (0, 0), None, jnp.int32(FAR), STEPS)
+        return i + (i < n), table.at[jnp.where(i < n, i, m)].set(cost[row, col], mode="drop")
 
-    start = jnp.int32(0), jnp.where(jnp.eye(m, dtype=bool), 0, FAR)
-    _, table = repeat(lambda state: state[0] < n - 1, measure, start)
-    return jnp.minimum(table, table.T)
+    return repeat(lambda state: state[0] < n, measure, (jnp.int32(0), jnp.full((m, m), FAR, jnp.int32)))[1]
 
 
 def go_to(belief: Belief, route: Array, reached: Field, at: Targets, which: Array) -> tuple[Choice, Array]:

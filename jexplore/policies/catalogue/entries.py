@@ -17,6 +17,7 @@ from jexplore.policies.mcdm import mcdm
 from jexplore.policies.peers.consistent_tour import consistent_tour
 from jexplore.policies.peers.exploration_transform import exploration_transform
 from jexplore.policies.peers.mutual_information import mutual_information
+from jexplore.policies.peers.nearest_region import nearest_region
 from jexplore.policies.peers.random_tree import random_tree
 from jexplore.policies.peers.revenue import revenue
 from jexplore.policies.policy import Entry, Policy
@@ -33,6 +34,11 @@ STRATEGY_NAME = r"[A-Za-z_][\w.-]*"
 
 STRATEGIES: dict[str, Entry] = {
     "closest": Entry(closest, "the frontier cell with the shortest path", "Holz et al. 2010, Figure 3"),
+    "nearest-region": Entry(
+        nearest_region,
+        "the centroid of the nearest frontier region that is at least as large as the robot",
+        "Yamauchi 1997",
+    ),
     "random": Entry(
         uniform, "a frontier cell drawn uniformly from the reachable ones", "Holz et al. 2010, section 3.2"
     ),
@@ -122,7 +128,7 @@ SYNONYMS: dict[str, str] = {
     "rrt": "revenue",
     "tsp": "tour",
     "uniform": "random",
-    "yamauchi": "closest",
+    "yamauchi": "nearest-region",
 }
 """Name of a strategy elsewhere -> its name here, for messages."""
 

@@ -27,20 +27,15 @@ class Params(NamedTuple):
     near_gain: float
 
 
-def _known_near(belief, at, radius):
-    """Count the known cells within a radius, cells, of every target: `[M]` int32."""
-    known, d2 = is_known(belief.grid), jnp.floor(radius * radius + 1e-3).astype(jnp.int32)
+def _judge(params, belief, at, beams):
+    cell_m, known = belief.model.cell_m, is_known(belief.grid)
+    radius_d2 = jnp.floor((params.radius_m / cell_m) ** 2 + 1e-3).astype(jnp.int32)
 
     def count(row, col):
-        return jnp.sum(known & disc(known.shape, row, col, d2), dtype=jnp.int32)
+        return jnp.sum(known & disc(known.shape, row, col, radius_d2), dtype=jnp.int32)
 
-    return at_each(at, count, jnp.zeros(at.row.shape, jnp.int32))
-
-
-def _judge(params, belief, at, beams):
-    cell_m = belief.model.cell_m
     # The disc less its known cells: cells beyond the map count as unknown, however the map is padded.
-    known_m2 = _known_near(belief, at, params.radius_m / cell_m) * cell_m**2
+    known_m2 = at_each(at, count, jnp.zeros(at.row.shape, jnp.int32)) * cell_m**2
     unknown_m2 = jnp.maximum(jnp.pi * params.radius_m**2 - known_m2, 0)
     off_m = jnp.hypot(at.row - belief.row, at.col - belief.col) * cell_m
     near = jnp.where(off_m <= params.near_m, params.near_gain, 1.0)

@@ -39,7 +39,8 @@ LEAGUE_STRATEGIES = (
     *("tour+recheck", "consistent-tour+recheck", "learned+recheck"),
     *("utility+recheck", "gain-rate+recheck", "revenue+recheck"),
     *("mutual-information+recheck", "exploration-transform+recheck"),
-    *("decision-theoretic+recheck", "decision-theoretic", "random-tree", "mcdm", "random+recheck", "random"),
+    *("decision-theoretic+recheck", "decision-theoretic", "random-tree", "nearest-region"),
+    *("mcdm", "random+recheck", "random"),
 )
 """Every strategy, with re-checking except where its source has none; the first is what the others are compared with."""
 
