@@ -148,11 +148,13 @@ def driven(walls, poses, odometry, key=None):
     return keys, np.asarray(now)
 
 
-def test_one_scan_serves_for_half_a_metre():
-    poses = [(0.21 * i - 1.5, 0.0, 0.0) for i in range(13)]
-    keys, _ = driven(ROOM, poses, poses)
-    every_m = [-1.5, -0.87, -0.24, 0.39, 1.02]  # 0.63 m apart: the third look is the first one beyond 0.5 m
-    assert sorted({round(key[0], 2) for key in keys}) == pytest.approx(every_m, abs=0.05)
+def test_one_scan_serves_while_most_of_it_is_seen():
+    along = [(0.21 * i - 1.5, 0.0, 0.0) for i in range(13)]
+    keys, _ = driven(ROOM, along, along)
+    assert {tuple(key) for key in keys} == {along[0]}
+    turned = [(0.0, 0.0, 0.26 * i) for i in range(13)]  # of 180 degrees 60 % are left after 1.26 rad
+    keys, _ = driven(ROOM, turned, turned)
+    assert sorted({round(key[2], 1) for key in keys}) == pytest.approx([0, 1.3, 2.6], abs=0.05)
 
 
 def test_encoders_that_measure_too_much_are_put_right_on_the_way():

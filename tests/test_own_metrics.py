@@ -193,7 +193,7 @@ def test_names_of_metrics(given, says):
         lambda: jx.Environment(two_rooms(), metrics=given),
     ):
         refused(says, read)
-    assert {"path_m", "mean", "valid", "idle_m"} < TAKEN
+    assert {"path_m", "mean", "valid"} < TAKEN
 
 
 def test_words_of_a_metric():
