@@ -209,14 +209,6 @@ def test_a_door_narrower_than_the_robot_is_closed(cells):
 # ---------------------------------------------------------------- terminals and small maps
 
 
-def test_the_end_of_the_trail_is_a_terminal():
-    found = mapped(STRAIGHT, trail=np.array([START, (60, 40), (61, 80)]))
-    assert types(found) == ["terminal", "terminal", "divergence"]
-    assert (found.nodes[1].x_m, found.nodes[1].y_m) == pytest.approx((8.05, 6.15))
-    assert [(link.start, link.end) for link in found.links] == [(0, 1), (1, 2)]
-    assert types(mapped(STRAIGHT, trail=[START, (60, 80), (60, 21)])) == ["terminal", "divergence"]
-
-
 def test_only_what_can_be_reached_and_a_room_without_a_junction():
     below, above = board((5, 5, 25, 115)), board((80, 5, 100, 60))
     assert mapped(below | above, start=(90, 30)) == mapped(above, start=(90, 30))  # what the start can reach
@@ -240,7 +232,6 @@ def test_legs_of_a_table_are_looked_through():
 def test_wrong_input_is_refused():
     refused("no cell of the map is free", mapped, board())
     refused("start", mapped, STRAIGHT, start=(0, 0))
-    refused("end", mapped, STRAIGHT, trail=[(60, 200)])
     refused("bool matrices", extract, STRAIGHT, STRAIGHT.astype(int), CELL_M)
     for name in ("cell_m", "width_m", "open_m", "clutter_m"):
         refused(name, extract, STRAIGHT, STRAIGHT, **{"cell_m": CELL_M, name: -1.0})

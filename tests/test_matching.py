@@ -71,6 +71,14 @@ def test_in_a_room_a_wrong_guess_is_put_right(pose, motion):
         assert degrees < 0.3, error
 
 
+@pytest.mark.parametrize(("slip", "is_found"), [(0.4, True), (0.7, False)])
+def test_a_turn_may_slip_by_two_fifths(slip, is_found):
+    told = np.array([0.0, 0.0, 0.25])
+    true = told * (1 - slip)
+    found = matched(*scans(ROOM, POSES[0], tuple(true)), told)
+    np.testing.assert_allclose(found, true if is_found else told, atol=0.01)
+
+
 def test_what_comes_out_depends_on_what_is_seen_and_not_on_where():
     """The room and the robot in it, a quarter turn on and elsewhere."""
     one = matched(*scans(box(-2, -1.5, 3, 1.5), (0.5, 0.4, 0.2), (0.1, 0, 0.2)), (0.12, 0.02, 0.22))

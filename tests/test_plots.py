@@ -18,7 +18,6 @@ from jexplore.studies.statistics import by_world, figures, league, response
 from jexplore.worlds.world import World
 
 LONG = "decision-theoretic+recheck+segment:samples=500,lam=0.2"
-FOURTEEN = ["closest", *(f"distance-advantage+recheck:weight=0.{i}" for i in range(12)), LONG]
 
 
 @pytest.fixture

@@ -103,8 +103,11 @@ def run_bench(
         settings = {
             "worlds": [world.name for world in plan.worlds],
             "strategies": [strategy.name for strategy in plan.strategies],
-            **{"batches": plan.batches, "repeat": plan.repeat, "cached": cache},
-            **{"pinned": pinned, "clock": speed_clock()},
+            "batches": plan.batches,
+            "repeat": plan.repeat,
+            "cached": cache,
+            "pinned": pinned,
+            "clock": speed_clock(),
         }
     report = {"environment": surroundings(), "settings": settings, "batches": []}
     wanted = [(engine, size) for engine, sizes in plan.batches.items() for size in sizes]

@@ -31,7 +31,6 @@ def extract(
     cell_m: float,
     *,
     start_rc: tuple[int, int] | None = None,
-    trail: np.ndarray | None = None,
     width_m: float = 0.39,
     open_m: float = 2.5,
     clutter_m: float = CLUTTER_M,
@@ -51,7 +50,6 @@ def extract(
       cell_m: edge of a cell, metres.
       start_rc: row, col of the robot's start, a free cell: the first node. Without, the largest part of the graph is
         taken and no terminal node is made for the start.
-      trail: `[T, 2]` rows and cols that the robot went along, or None. A terminal node is made at its end.
       width_m: width of the robot, metres.
       open_m: clearance above which a place is free space, metres: the paper's C1.
       clutter_m: obstacles in the open whose bounding box has a shorter diagonal, metres, are looked through.
@@ -60,15 +58,13 @@ def extract(
     Source:
       Mano et al., Behavioral Trace Map. Changed: from the Voronoi graph of a whole map instead of single scans.
     """
-    free, obstacle, ends = _checked(free, known, cell_m, start_rc, trail, width_m, open_m, clutter_m)
+    free, obstacle, ends = _checked(free, known, cell_m, start_rc, width_m, open_m, clutter_m)
     lines = lines_of(obstacle, free, width=in_cells(width_m, cell_m))
     corners = take_corners(lines)
     cells = attached(lines, corners, ends, free)
     if "start" in ends and "start" not in cells:
         start = PlaceDraft(*ends["start"], "terminal", 0.0)
         return _numbered({0: start}, [], 0, lines, cell_m, origin_m)
-    if len(cells) == 2 and math.dist(ends["start"], ends["end"]) < lines.radius[cells["start"]]:
-        del cells["end"]  # the trail ends where it began
     parts = connected_cells(lines.near, [i for i in cells.values() or range(len(lines.row)) if _counts(lines, i)])
     alive = max(parts, key=len, default=set()) if not cells else parts[0]
     terminals = {
@@ -81,7 +77,7 @@ def extract(
     return _numbered(places, ways, first, lines, cell_m, origin_m)
 
 
-def _checked(free, known, cell_m, start_rc, trail, width_m, open_m, clutter_m):
+def _checked(free, known, cell_m, start_rc, width_m, open_m, clutter_m):
     """Check the input: `(free, obstacle, ends)`, small unseen patches and clutter free, and name -> terminal cell."""
     free, known = np.asarray(free), np.asarray(known)
     if free.ndim != 2 or free.shape != known.shape or free.dtype != bool or known.dtype != bool:
@@ -95,10 +91,7 @@ def _checked(free, known, cell_m, start_rc, trail, width_m, open_m, clutter_m):
     require_number("clutter_m", clutter_m, high=1000)
     if not free.any():
         raise InputError("free: no cell of the map is free")
-    ends = {} if start_rc is None else {"start": start_rc}
-    if trail is not None and len(trail):
-        ends["end"] = trail[-1]
-    ends = {name: (int(row), int(col)) for name, (row, col) in ends.items()}
+    ends = {} if start_rc is None else {"start": (int(start_rc[0]), int(start_rc[1]))}
     for name, (row, col) in ends.items():
         if not (0 <= row < free.shape[0] and 0 <= col < free.shape[1]) or not free[row, col]:
             raise InputError(f"{name}: cell ({row}, {col}) is not a free cell of the map")

@@ -3,7 +3,6 @@
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import ndimage
-from scipy.optimize import linear_sum_assignment
 
 from jexplore.config import InputError
 
@@ -76,6 +75,8 @@ def _matched(overlap, mcc):
     Overlaps are whole numbers and every |mcc| is at most 1, so a weight that sums to less than 1/2 decides between
     matchings of equal overlap, and nothing else.
     """
+    from scipy.optimize import linear_sum_assignment  # loads slowly, and worlds need labels alone
+
     mcc = np.where(overlap > 0, mcc, 0.0)
     pairs = linear_sum_assignment(overlap + mcc / (4.0 * max(min(overlap.shape), 1) + 1.0), maximize=True)
     return mcc[pairs].sum()

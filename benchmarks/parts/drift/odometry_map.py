@@ -6,7 +6,8 @@ import math
 import numpy as np
 from scipy.spatial import KDTree
 
-from jexplore.studies.traces.recording import beam_ends, walls_in_frame
+from jexplore.driving.building.walls import segments, walls_of
+from jexplore.studies.traces.recording import beam_ends
 from jexplore.tracemap.merging.rigid import Move, fit
 from jexplore.worlds.readers.scans import ScanLog, ScanMap, fold_scans
 from jexplore.worlds.world import World
@@ -91,7 +92,8 @@ def _beginnings(log):
 def _wall_points(world):
     """Return points along the true walls, `[P, 2]`, metres; the wall's normal at each, `[P, 2]`, and its piece."""
     points, normals, pieces, count = [], [], [], 0
-    for line in walls_in_frame(world).astype(np.float64):
+    walls = segments(walls_of(world.occupied, world.cell_m)) + np.tile(np.asarray(world.origin_m), 2)
+    for line in walls.astype(np.float64):
         start, along = line[:2], line[2:] - line[:2]
         length = float(np.hypot(*along))
         k, n = (max(1, round(length / part_m)) for part_m in (SPACING_M, PIECE_M))

@@ -14,10 +14,11 @@ from jexplore.driving.records import KeyScan
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, to_odometry, to_robot
 from jexplore.slam2d.settings import SlamSettings
 
-MATCH = SlamSettings(way_m=0.01, turn_deg=0.5, turn_share=0.1)
+MATCH = SlamSettings(way_m=0.01, turn_deg=0.5, turn_share=0.1, min_share=0.6)
 """Tracks slip by up to two fifths of a turn (four deviations), and err by less than a rolling base otherwise. With the
 defaults of the first two 90 % of the maps at 5 cm of range noise are true, with these 96 % (`benchmarks/btm.py --parts
-sensors`); with that of the third none where two fifths slip (`benchmarks/drift.py`)."""
+sensors`); with that of the third none where two fifths slip (`benchmarks/drift.py`). A scan shows something new, and is
+the next ones' partner, where less than `min_share` of it matches: a bound of way or turn besides only adds drift."""
 ROUNDS = 6  # of a match
 LINE_BEAMS = 5  # beams on either side through whose points a line is laid
 
@@ -125,7 +126,7 @@ def correct_odometry(
 ) -> tuple[KeyScan, Array, Array]:
     """Correct both poses, without and with corrections at nodes, by scan matching, if the robot has moved on.
 
-    A scan serves for as long as the robot sees much of the same, `close_share`: every change to another adds an error.
+    A scan serves for as long as `min_share` of each new one matches it: every change to another adds an error.
 
     Args:
       lean: `[2]` float32, radians, of the ground, see `mapping.slope_under`; a scan is not matched with one of another
@@ -148,6 +149,6 @@ def correct_odometry(
         estimate = jnp.concatenate([to_odometry(estimate)(step), estimate[2:] + turn])
         fresh = KeyScan(ranges_m, lean, after, after)
         old = key.replace(last=after)
-        return pick(share < MATCH.close_share, fresh, old), after, estimate
+        return pick(share < MATCH.min_share, fresh, old), after, estimate
 
     return run_if(is_due, right, (key, odometry, estimate))

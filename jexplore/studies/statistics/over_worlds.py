@@ -28,7 +28,7 @@ def kind_of(world: object) -> str:
     return "furnished" if furnished else match[1]
 
 
-def mean_and_error(values: np.ndarray, kinds: Sequence[str]) -> tuple[float, float, float, int]:
+def _mean_and_error(values: np.ndarray, kinds: Sequence[str]) -> tuple[float, float, float, int]:
     """Estimate the mean of `[N]` values, N >= 1, stratified by kind: `(mean, standard error, freedom, most)`.
 
     The last two are the degrees of freedom of the error, by Satterthwaite 1946, 0 without any spread; and their upper
@@ -56,7 +56,7 @@ def mean_over_worlds(values: ArrayLike, kinds: Sequence[str]) -> tuple[float, fl
     values = np.asarray(values, np.float64)
     if not len(values):
         return math.nan, math.nan, math.nan, math.nan
-    mean, error, freedom, _ = mean_and_error(values, kinds)
+    mean, error, freedom, _ = _mean_and_error(values, kinds)
     return mean, *t_interval(mean, error, freedom)
 
 
@@ -84,7 +84,7 @@ def share_over_worlds(values: ArrayLike, kinds: Sequence[str]) -> tuple[float, f
     values = np.asarray(values, np.float64)
     if len(values) < 2:
         return (float(values[0]) if len(values) else math.nan), math.nan, math.nan, math.nan
-    mean, error, freedom, most = mean_and_error(values, kinds)
+    mean, error, freedom, most = _mean_and_error(values, kinds)
     mean = min(max(mean, 0.0), 1.0)
     number, freedom = (mean * (1 - mean) / error**2, freedom) if error else (float(len(values)), most)
     t = float(stdtrit(freedom, UPPER))

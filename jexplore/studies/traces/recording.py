@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from jexplore import btm
 from jexplore.driving import behaviour, events, mission, vehicle
 from jexplore.driving.batch import Driven, step_slots
-from jexplore.driving.building.walls import segments, walls_of
+from jexplore.driving.building.walls import segments
 from jexplore.driving.local.run import LocalRun
 from jexplore.driving.mission import RunOutcome
 from jexplore.driving.params.tree import using
@@ -22,7 +22,6 @@ from jexplore.engine.devices import pinned_draws, random_key
 from jexplore.report.operator_view import RunRecording
 from jexplore.studies.traces.job import TraceJob
 from jexplore.worlds.readers.scans import ScanLog
-from jexplore.worlds.world import World
 
 TRIANGLES = 8  # most that are shown of a scan
 MODE_NAMES = tuple(mode.name.lower().replace("_", " ") for mode in RunMode)
@@ -80,11 +79,6 @@ def _measured(key, building, robot, noise, params, steps_and_poses):
 def in_world_frame(poses: ArrayLike, origin_m: tuple[float, float]) -> np.ndarray:
     """Convert poses `[n, 3]` to the world's frame."""
     return np.asarray(poses) + np.array([*origin_m, 0.0], np.float32)
-
-
-def walls_in_frame(world: World) -> np.ndarray:
-    """Return the true walls in the world's frame: `[S, 4]`, metres."""
-    return segments(walls_of(world.occupied, world.cell_m)) + np.tile(np.asarray(world.origin_m), 2)
 
 
 def wall_lines(plan: TraceJob) -> np.ndarray:
