@@ -14,7 +14,7 @@ from jexplore.engine.program import Given
 from jexplore.exploration import environment, site
 from jexplore.exploration.state import Outcome, Stream
 from jexplore.exploration.uncertain import looking, moving
-from jexplore.exploration.uncertain.poses import EIGHTH, cell_of, rounded
+from jexplore.exploration.uncertain.poses import EIGHTH, beams_of, cell_of, rounded
 from jexplore.grid import empty_grid
 from jexplore.policies.closest import closest
 from jexplore.rules import Lidar, Odometry, Rules
@@ -251,6 +251,21 @@ def test_a_robot_whose_scans_do_not_match_is_lost():
     assert lost.outcome == Outcome.LOST
     assert not lost.plan_active
     assert look(setup, given, state.replace(poses=unsure), jnp.bool_(False)).outcome == Outcome.RUNNING
+
+
+def test_no_cell_of_a_scan_counts_as_wall_and_free():
+    """At an estimated place walls run through cells, and beams that graze them pass where others end."""
+    setup, given, state = begun("odometry", lidar=Lidar(n_beams=181, range_m=3.0))
+    there = state.poses.replace(estimate=state.poses.true + jnp.float32([0.3, 0.4, 0.0]))
+    blank = state.replace(belief=state.belief.replace(grid=empty_grid(state.belief.driven.shape)), poses=there)
+    grid = looking.look(setup, given, blank, jnp.bool_(True)).belief.grid
+    assert not jnp.any((grid.hits > 0) & (grid.misses > 0))
+    own, extent = given.numbers.unsure, state.belief.extent
+    direction = beams_of(own, blank.heading, there.estimate)
+    reading = beams.cast(jnp.asarray(two_rooms().occupied), there.true[:2], direction, own.reach)
+    plain = beams.fold(blank.belief.grid, there.estimate[:2], direction, reading, own.reach, extent)
+    assert jnp.any((plain.hits > 0) & (plain.misses > 0))
+    np.testing.assert_array_equal(plain.hits, grid.hits)
 
 
 def test_a_scan_is_the_same_wherever_the_map_lies_among_others():

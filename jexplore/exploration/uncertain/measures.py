@@ -47,8 +47,8 @@ def end_error_deg(view: EpisodeView) -> Array:
 def free_iou(view: EpisodeView) -> Array:
     """Return how the free cells of the robot's map agree with those of an exact one: intersection over union.
 
-    The exact map is that of the same scans, counted at the true poses, where misses count in every cell; the maps are
-    compared as they lie.
+    The exact map is that of the same scans, counted at the true poses, where no beam grazes a cell in which another
+    ends; the maps are compared as they lie.
     """
     p_free = view.belief.model.p_free
     free, true = is_free(view.belief.grid, p_free), is_free(view.poses.seen, p_free)
