@@ -192,7 +192,7 @@ def test_what_the_robot_goes_over_is_in_its_map(obstacle, step_m):
 )
 def test_a_noisy_sensor_makes_the_same_map(noise):
     found = ran(job.prepare_trace("course", noise=noise, runs=2))
-    assert found.table["true"].all()  # of 24 each: 23, 24, 24
+    assert found.table["true"].all()
 
 
 @pytest.mark.slow
