@@ -15,10 +15,10 @@ from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, to_odometry, to_robot
 from jexplore.slam2d.settings import SlamSettings
 
 MATCH = SlamSettings(way_m=0.01, turn_deg=0.5, turn_share=0.1, min_share=0.6)
-"""Tracks slip by up to two fifths of a turn (four deviations), and err by less than a rolling base otherwise. With the
-defaults of the first two 90 % of the maps at 5 cm of range noise are true, with these 96 % (`benchmarks/btm.py --parts
-sensors`); with that of the third none where two fifths slip (`benchmarks/drift.py`). A scan shows something new, and is
-the next ones' partner, where less than `min_share` of it matches: a bound of way or turn besides only adds drift."""
+"""Tracks slip by up to two fifths of a turn (four standard deviations), and otherwise err by less than a rolling base.
+At 5 cm of range noise 96 % of the maps are true (`benchmarks/btm.py --parts sensors`), 90 % with the defaults of way and
+turn. At a slip of two fifths all are (`benchmarks/drift.py`), none with the default share of turns. A scan becomes the
+reference where less than `min_share` of it matches the last one; bounds of way and turn add drift."""
 ROUNDS = 6  # of a match
 LINE_BEAMS = 5  # beams on either side through whose points a line is laid
 
