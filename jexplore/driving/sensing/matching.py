@@ -16,9 +16,9 @@ from jexplore.slam2d.settings import SlamSettings
 
 MATCH = SlamSettings(way_m=0.01, turn_deg=0.5, turn_share=0.1, min_share=0.6)
 """Tracks slip by up to two fifths of a turn (four standard deviations), and otherwise err by less than a rolling base.
-At 5 cm of range noise 96 % of the maps are true (`benchmarks/btm.py --parts sensors`), 90 % with the defaults of way and
-turn. At a slip of two fifths all are (`benchmarks/drift.py`), none with the default share of turns. A scan becomes the
-reference where less than `min_share` of it matches the last one; bounds of way and turn add drift."""
+At 5 cm of range noise 96 % of the maps are true (`benchmarks/btm.py --parts sensors`), 90 % with the defaults of way
+and turn. At a slip of two fifths all are (`benchmarks/drift.py`), none with the default share of turns. A scan with a
+smaller share of matched points than `min_share` becomes the reference; bounds of way and turn add drift."""
 ROUNDS = 6  # of a match
 LINE_BEAMS = 5  # beams on either side through whose points a line is laid
 
