@@ -164,7 +164,12 @@ def test_the_wheeled_robot_cannot_pass_the_slope():
 @pytest.mark.jit
 @pytest.mark.parametrize(
     ("obstacle", "step_m"),
-    [("stairs,riser_m=0.15", 0.15), ("platform,riser_m=0.15", 0.15), ("sill,riser_m=0.06", 0.06), ("cross-slope", None)],
+    [
+        ("stairs,riser_m=0.15", 0.15),
+        ("platform,riser_m=0.15", 0.15),
+        ("sill,riser_m=0.06", 0.06),
+        ("cross-slope", None),
+    ],
 )
 def test_what_the_robot_goes_over_is_in_its_map(obstacle, step_m):
     found = ran(job.prepare_trace(f"course:obstacle={obstacle}", noise=Noise(range_m=0.01)))
