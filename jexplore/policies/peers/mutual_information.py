@@ -5,10 +5,10 @@ Mapping", IJRR 39(9), 2020, Theorem 1, for a range without noise: a beam tells `
 probability that cell j is the first occupied one, and C_j = f(delta_occ, r_j) + sum_{i<j} f(delta_emp, r_i) with
 `f(delta, r) = log((r + 1) / (r + 1 / delta)) - log(delta) / (r delta + 1)`, r the odds that a cell is occupied. Beams
 count as independent, as there; these formulas agree with the authors' code. Information for a metre of the way is after
-Charrow et al., "Information-Theoretic Planning with Trajectory Optimization for Dense 3D Mapping", RSS 2015. How
-they weigh information (CSQMI) and way is not verified.
-Changed: a beam that meets nothing tells of the cells that it passes; r is of the reflection probability, 1 where
-nothing is known. Left out: noise of the range, information along the way, trajectories.
+Charrow et al., "Information-Theoretic Planning with Trajectory Optimization for Dense 3D Mapping", RSS 2015; how they
+weigh information (CSQMI) and way is not verified. Changed: a beam that meets nothing tells of the cells that it passes;
+r is of the reflection probability, 1 where nothing is known. Left out: noise of the range, information along the way,
+trajectories.
 """
 
 from typing import Annotated, NamedTuple
