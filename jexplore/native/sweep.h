@@ -60,6 +60,12 @@ bool Any(Ints which) {
   return any != 0;
 }
 
+bool All(Ints which) {
+  int all = -1;
+  for (int j = 0; j < kLanes; ++j) all &= which[j];
+  return all != 0;
+}
+
 // Calls `use(first, n, beams)` for the beams from a place, some at a time.
 template <class Use>
 void ForBeams(const Reals& xy, const Vectors& direction, int width, Use use) {
@@ -93,48 +99,73 @@ ffi::Error Cast(Flags occupied, Reals xy, Vectors direction, Scalar reach_, Numb
   return ffi::Error::Success();
 }
 
-// `beams.fold`; also how many cells within have become known. Terms: `extent`, `ends_first`.
-ffi::Error Fold(Counts hits, Counts misses, Reals xy, Vectors direction, Reals distance, Bits hit, Bits speaks,
-                Scalar reach_, Flags within_, Numbers terms, ffi::Result<Counts> hits_out,
-                ffi::Result<Counts> misses_out, ffi::Result<Numbers> fresh) {
-  int32_t *hit_at = InPlace(hits, hits_out), *missed_at = InPlace(misses, misses_out);
-  const int width = static_cast<int>(hits.dimensions()[1]), rows = terms.typed_data()[0], cols = terms.typed_data()[1];
-  const bool* within = within_.element_count() == hits.element_count() ? within_.typed_data() : nullptr;
-  const float reach = *reach_.typed_data();
-  const bool ends_first = terms.typed_data()[2];
-  constexpr int kEnd = 1 << 30;  // of hits, while a scan is counted: a beam ends in the cell
-  int n_fresh = 0;
-  std::vector<int> ends, passed;
-  auto count = [&](int32_t* counts, const int32_t* others, int i) {
-    if (counts[i]++ == 0 && others[i] == 0) n_fresh += !within || within[i];
-  };
-  auto is_inside = [&](const Beams& beams) {
-    return (beams.row >= 0) & (beams.row < rows) & (beams.col >= 0) & (beams.col < cols);
-  };
+// Cells that beams pass, the first n, and those in which they end. Kept from call to call, for their memory.
+struct Crossed {
+  std::vector<int> passed, ends;
+  int64_t n;
+};
+
+// Finds the cells that readings pass, once for every beam and in no order, and those in which they end. Cells of beams
+// that end well inside the map are not asked one by one whether they lie in it.
+void Follow(const Reals& xy, const Vectors& direction, const Reals& distance, const Bits& hit, const Bits& speaks,
+            float reach, int width, int rows, int cols, Crossed& found) {
+  const int most = static_cast<int>(std::min(reach, static_cast<float>(rows + cols))) + 2;  // cells of a beam, per axis
+  const float x = xy.typed_data()[0], y = xy.typed_data()[1];
+  const size_t room = 2 * static_cast<size_t>(most) * (direction.dimensions()[0] + kLanes) + kLanes;
+  if (found.passed.size() < room) found.passed.resize(room);
+  found.ends.clear();
+  int* passed = found.passed.data();
   ForBeams(xy, direction, width, [&](int first, int n, Beams beams) {
-    if (first == 0 && is_inside(beams)[0]) passed.push_back(beams.cell[0]);
+    auto is_inside = [&] { return (beams.row >= 0) & (beams.row < rows) & (beams.col >= 0) & (beams.col < cols); };
+    if (first == 0 && is_inside()[0]) *passed++ = beams.cell[0];
     Floats limit{};
     Ints going{};
+    bool all_inside = true;
     for (int j = 0; j < n; ++j) {
       going[j] = -speaks.typed_data()[first + j];
       limit[j] = hit.typed_data()[first + j] ? distance.typed_data()[first + j] : INFINITY;
+      const float far = std::min(limit[j], reach), *along = direction.typed_data() + 2 * (first + j);
+      const float end_x = x + far * along[0], end_y = y + far * along[1];
+      all_inside &= std::min({x, y, end_x, end_y}) > 3 && std::max(x, end_x) < cols - 3 && std::max(y, end_y) < rows - 3;
     }
     beams.Go();
     for (going &= beams.entry < reach; Any(going);) {
-      const Ints counted = going & is_inside(beams), cell = beams.cell;
+      const Ints counted = all_inside ? going : going & is_inside(), cell = beams.cell;
       const Floats entry = beams.entry;
       beams.Go();
       const Ints passes = 0.5f * (entry + beams.entry) < limit;
-      for (int j = 0; j < n; ++j)
-        if (counted[j]) (passes[j] ? passed : ends).push_back(cell[j]);
+      if (All(counted & passes)) {
+        std::memcpy(passed, &cell, sizeof cell), passed += kLanes;
+      } else {
+        for (int j = 0; j < n; ++j)
+          if (counted[j]) passes[j] ? void(*passed++ = cell[j]) : found.ends.push_back(cell[j]);
+      }
       going &= passes & (beams.entry < reach);
     }
   });
-  for (int i : ends) hit_at[i] |= ends_first ? kEnd : 0;
-  for (int i : passed)
-    if (hit_at[i] < kEnd) count(missed_at, hit_at, i);
-  for (int i : ends) hit_at[i] &= ~kEnd;
-  for (int i : ends) count(hit_at, missed_at, i);
+  found.n = passed - found.passed.data();
+}
+
+// `beams.fold`; also how many cells within have become known. Terms: `extent`, `ends_first`.
+ffi::Error Fold(Counts hits, Counts misses, Reals xy, Vectors direction, Reals distance, Bits hit, Bits speaks,
+                Scalar reach, Flags within_, Numbers terms, ffi::Result<Counts> hits_out,
+                ffi::Result<Counts> misses_out, ffi::Result<Numbers> fresh) {
+  int32_t *hit_at = InPlace(hits, hits_out), *missed_at = InPlace(misses, misses_out);
+  const bool* within = within_.element_count() == hits.element_count() ? within_.typed_data() : nullptr;
+  const int width = static_cast<int>(hits.dimensions()[1]), rows = terms.typed_data()[0], cols = terms.typed_data()[1];
+  constexpr int kEnd = 1 << 30;  // of hits, while a scan is counted: a beam ends in the cell
+  thread_local Crossed found;
+  Follow(xy, direction, distance, hit, speaks, *reach.typed_data(), width, rows, cols, found);
+  int n_fresh = 0;
+  auto count = [&](int32_t* counts, const int32_t* others, int i) {
+    if (counts[i]++ == 0 && others[i] == 0) n_fresh += !within || within[i];
+  };
+  if (terms.typed_data()[2])
+    for (int i : found.ends) hit_at[i] |= kEnd;
+  for (const int* i = found.passed.data(); i < found.passed.data() + found.n; ++i)
+    if (hit_at[*i] < kEnd) count(missed_at, hit_at, *i);
+  for (int i : found.ends) hit_at[i] &= ~kEnd;
+  for (int i : found.ends) count(hit_at, missed_at, i);
   fresh->typed_data()[0] = n_fresh;
   return ffi::Error::Success();
 }
