@@ -55,15 +55,11 @@ struct Beams {
 };
 
 bool Any(Ints which) {
-  int any = 0;
-  for (int j = 0; j < kLanes; ++j) any |= which[j];
+  using Pairs = int64_t __attribute__((vector_size(4 * kLanes)));
+  const Pairs pairs = reinterpret_cast<Pairs>(which);
+  int64_t any = 0;
+  for (int j = 0; j < kLanes / 2; ++j) any |= pairs[j];
   return any != 0;
-}
-
-bool All(Ints which) {
-  int all = -1;
-  for (int j = 0; j < kLanes; ++j) all &= which[j];
-  return all != 0;
 }
 
 // Calls `use(first, n, beams)` for the beams from a place, some at a time.
@@ -134,7 +130,7 @@ void Follow(const Reals& xy, const Vectors& direction, const Reals& distance, co
       const Floats entry = beams.entry;
       beams.Go();
       const Ints passes = 0.5f * (entry + beams.entry) < limit;
-      if (All(counted & passes)) {
+      if (!Any(~(counted & passes))) {
         std::memcpy(passed, &cell, sizeof cell), passed += kLanes;
       } else {
         for (int j = 0; j < n; ++j)

@@ -5,6 +5,7 @@ from flax import struct
 from jax import Array, lax
 from jax.tree_util import register_dataclass
 
+from jexplore.arrays.loops import one_kernel
 from jexplore.slam2d.settings import SlamSettings
 
 register_dataclass(SlamSettings, list(SlamSettings.__dataclass_fields__), [])
@@ -31,6 +32,10 @@ def read_scan(settings: SlamSettings, ranges_m: Array, angles_rad: Array, max_ra
     Returns:
       `Scan`.
     """
+    return one_kernel(_read, settings, ranges_m, angles_rad, max_range_m)
+
+
+def _read(settings, ranges_m, angles_rad, max_range_m):
     valid = (ranges_m > 0) & (ranges_m < max_range_m)  # False for NaN
     r = jnp.where(valid, ranges_m, 0).astype(jnp.float32)
     x, y = r * jnp.cos(angles_rad), r * jnp.sin(angles_rad)
