@@ -19,7 +19,7 @@ from jexplore.driving.local.pilot import Pilot
 from jexplore.driving.local.run import LocalRun
 from jexplore.driving.local.sight import SeenPlace, SeenWay, look
 from jexplore.driving.local.window import CELL_M, SIDE, Fixed, Window
-from jexplore.driving.settings import ROBOTS
+from jexplore.driving.settings import ROBOTS, Tuning
 from jexplore.engine.devices import random_key
 from jexplore.report.operator_view import page
 from jexplore.studies.traces.job import prepare_trace
@@ -451,7 +451,7 @@ def test_robot_goes_back_the_way_it_came_past_contacts():
     (robot, _, noise), draw = plan.settings_of(np.zeros(1, int)), np.random.default_rng(0)
     robot, noise = jax.tree.map(lambda a: jnp.asarray(a[0]), (dataclasses.replace(robot, name=""), noise))
     fixed = Fixed(jax.device_put(plan.building), robot, noise, MATCHING, random_key(np.uint32(0)))
-    pilot = Pilot(fixed, plan.begins[0], 0.4, 5000)
+    pilot = Pilot(fixed, plan.begins[0], Tuning(), 5000)
     begin = pilot.now.truth
     for _ in range(20):
         pilot.drive_to(pilot.pose[:2] + draw.uniform(-1, 1, 2), back=bool(draw.integers(2)))

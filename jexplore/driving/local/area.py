@@ -7,10 +7,10 @@ from scipy import ndimage
 
 from jexplore.driving.local.lattice import Lattice, distance_m
 from jexplore.driving.local.sight import EVERY_WAY, frontier
-from jexplore.driving.local.window import Window
+from jexplore.driving.local.window import SIDE, Window
 
-GROWTH = 256  # cells by which the area grows at least: two local maps
-AROUND = 64  # cells about the local map in which places are looked for: halls are wider than the map
+GROWTH = 2 * SIDE  # cells by which the area grows at least
+AROUND = SIDE // 2  # cells about the local map in which places are looked for: halls are wider than the map
 
 
 class SeenArea:

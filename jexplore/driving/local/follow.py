@@ -17,18 +17,14 @@ from jexplore.driving.local.pilot import LOOK_M, Pilot, RunEnded
 from jexplore.driving.local.sight import SeenPlace, look
 from jexplore.driving.local.window import CELL_M, SIDE, Fixed, Window
 from jexplore.driving.mission import RunOutcome
+from jexplore.driving.params.tree import P
 from jexplore.driving.settings import Tuning
 
-MATCH_M = 1.5  # a place no farther than this from where the map has it is the map's: half of two junctions' distance,
-SAME_RAD = math.radians(40)  # its exits are the map's that are less apart than this,
+MATCH_M = P.graph.led_node_m  # a place no farther than this from where the map has it is the map's,
 EXIT_COST_M = 0.7  # and each exit that one of them lacks counts as this way off
-WITHIN_M = 1.0  # a node is gone to as near as its surroundings allow, no farther off than this: half a passage,
-OFF_COST = 4.0  # where a metre off costs as much as this way
-AT_M = 0.3  # from the end of the route
+OFF_COST = 4.0  # a node is gone to as near as its surroundings allow: a metre off costs as much as this way
 PASS_M = 0.7  # from another node: there its exits are seen
-EXIT_M = 1.5  # the robot leaves a node by the route's exit for as far as this
-MOVED_M = 0.1  # a robot that has gone no farther than this stands
-SHUT_M = 2.0  # a node of no more clearance than this is shut behind the robot: a passage, not free space
+SHUT_M = 2 * LOOK_M  # a node of no more clearance than this is shut behind the robot: a passage, not free space
 MOST = 1.5, 10.0  # the robot is lost after this many times the length of its route, and metres: a passage's detour
 
 
@@ -61,9 +57,9 @@ class Follower:
 
         `length_m` is the route's; `places` `[n, 2]` are all divergences of the map.
         """
-        self.pilot = Pilot(fixed, start, float(tuning.speed_m_s), max_steps, lambda: on_step(self))
+        self.pilot = Pilot(fixed, start, tuning, max_steps, lambda: on_step(self))
         self._robot, self._start = fixed.robot, np.asarray(start[:2], float)
-        self._how = float(tuning.width_m), float(tuning.open_m)
+        self._how, self._at_m = (float(tuning.width_m), float(tuning.open_m)), float(tuning.arrive_m)
         self._most_m = MOST[0] * length_m + MOST[1]
         self._stops, self._places, self._shift = stops, places, np.zeros(2)
         self._left = np.asarray(begin, float)  # the node that the robot has left
@@ -102,7 +98,7 @@ class Follower:
                 self.walled = self._is_shut and is_at_end
                 if self.walled or self.pilot.now.refused > refused:
                     return "BLOCKED" if self._is_sure else "LOST"
-                fails = fails + 1 if self.pilot.odometer_m - begin_m < MOVED_M else 0
+                fails = fails + 1 if self.pilot.odometer_m - begin_m < CELL_M else 0
                 if not goes:
                     self.pilot.retrace(float(self._robot.length_m))
         except RunEnded as end:
@@ -149,24 +145,24 @@ class Follower:
         """Return whether the robot is at the stop, or as near as it gets; leave the exit where it is at that."""
         is_last, off_m = self.next == len(self._stops) - 1, math.dist(self._goal_xy, self.pilot.pose[:2])
         if self._exit is not None:
-            if off_m < AT_M or self._is_there:
+            if off_m < self._at_m or self._is_there:
                 self._exit, self._is_there = None, False
             return False
-        return self._is_there or off_m < (AT_M if is_last else max(PASS_M, self._clearance(self._goal_xy) / 2))
+        return self._is_there or off_m < (self._at_m if is_last else max(PASS_M, self._clearance(self._goal_xy) / 2))
 
     def _pass(self):
         """Note the exits of the stop, and go on to the next one."""
         stop, place, self._left = self._stop, self._place, self._goal_xy
         radius, room = self._shut()
-        out_m = max(EXIT_M, room + AT_M) if radius < SHUT_M else EXIT_M
+        out_m = max(MATCH_M, room + self._at_m) if radius < SHUT_M else MATCH_M
         ahead = self._left + out_m * np.array([math.cos(stop.out), math.sin(stop.out)])
         if stop.is_place:
             self._is_sure = place is not None
             self.missed += place is None
         if place is not None:
-            long = [way for way in place.ways if way.to >= 0 or length_of(way.path) > place.radius_m + WITHIN_M]
+            long = [way for way in place.ways if way.to >= 0 or length_of(way.path) > place.radius_m + LOOK_M]
             self.found[self.next] = [way.bearing for way in long]
-            ways = [way for way in place.ways if abs(wrapped(way.bearing - stop.out)) < SAME_RAD]
+            ways = [way for way in place.ways if abs(wrapped(way.bearing - stop.out)) < P.places.same_exit_rad]
             if ways:
                 path = min(ways, key=lambda way: abs(wrapped(way.bearing - stop.out))).path
                 near = np.hypot(*(path - place.xy).T) < out_m
@@ -193,7 +189,7 @@ class Follower:
             window = Window(window.corner, window.occupied | behind, window.known)
         lattice = Lattice(window, pose, self._robot, through_unknown=True)
         off = np.hypot(*np.moveaxis(cells - xy, -1, 0))
-        cost = np.where(off < WITHIN_M, lattice.cost + OFF_COST * off, math.inf)
+        cost = np.where(off < LOOK_M, lattice.cost + OFF_COST * off, math.inf)
         self._is_in_reach = bool(np.isfinite(cost).any())
         if not self._is_in_reach:
             edge = (np.minimum(row, col) == 1) | (np.maximum(row, col) == SIDE - 2)
@@ -218,7 +214,7 @@ class Follower:
             off = self._window.xy(path[n].cell) - self.pilot.pose[:2]
             goes = self.pilot.turn_to(math.atan2(off[1], off[0])) and goes
         off_m = math.dist(self._window.xy(path[-1].cell), self.pilot.pose[:2])
-        return goes, off_m < AT_M / 2
+        return goes, off_m < self._at_m / 2
 
 
 def recognised(seen: Sequence[SeenPlace], stop: Stop, places: np.ndarray, shift: np.ndarray) -> SeenPlace | None:
@@ -234,10 +230,10 @@ def recognised(seen: Sequence[SeenPlace], stop: Stop, places: np.ndarray, shift:
 
     def is_nearest(place):
         nearest = places[np.hypot(*(places + shift - place.xy).T).argmin()]
-        return math.dist(nearest, stop.xy) < MOVED_M
+        return math.dist(nearest, stop.xy) < CELL_M
 
     return min((place for place in seen if off_m(place) < MATCH_M and is_nearest(place)), key=off_m, default=None)
 
 
 def _is_new(bearing, others):
-    return all(abs(wrapped(bearing - other)) > SAME_RAD for other in others)
+    return all(abs(wrapped(bearing - other)) > P.places.same_exit_rad for other in others)

@@ -14,14 +14,13 @@ from jexplore.arrays.poses import wrapped
 from jexplore.driving.local.window import CELL_M, SIDE, Window
 from jexplore.driving.settings import Robot
 
-HEADINGS = 8  # counter-clockwise, the first along x
-STEPS = np.array([(0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0), (-1, 1)])  # row, col
-MARGIN_M = 0.05  # kept from occupied cells: the robot is driven to centres of cells, half a cell off at most
+STEPS = np.array([(0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0), (-1, 1)])  # row, col; first along x
+HEADINGS = len(STEPS)  # counter-clockwise
+MARGIN_M = CELL_M / 2  # kept from occupied cells: the robot is driven to centres of cells, half a cell off at most
 BACK = 2.5  # cost of a way back, of that ahead: the scanner does not see there
 TURN_M = 0.25  # cost of an eighth of a turn, metres of way: 0.5 s at 1.5 rad/s
-CLEAR_M = 0.6  # ways nearer to an obstacle than this cost more,
-CLOSE_COST = 2.0  # at most this many times more,
-CLOSE_M = 0.3  # once more for each of this
+CLEAR_M = 0.6  # ways nearer to an obstacle than this cost more, in proportion,
+CLOSE_COST = 2.0  # at an obstacle this many times more
 START_CELLS = 3.0  # the plan begins at a state no farther than this from the robot, cells
 START_RAD = 0.45  # and turned by no more than this: half an eighth of a turn, and the error of a turn
 
@@ -65,7 +64,7 @@ class Lattice:
         stands = [free[2 * (h % 4)] for h in range(HEADINGS)]
         turns = [stands[h] & free[(2 * h + 1) % HEADINGS] & stands[(h + 1) % HEADINGS] for h in range(HEADINGS)]
         clear_m = distance_m(window.occupied)
-        cost = 1 + np.clip((CLEAR_M - clear_m) / CLOSE_M, 0, CLOSE_COST)
+        cost = 1 + CLOSE_COST * np.maximum(1 - clear_m / CLEAR_M, 0)
         begins = _begins(window, pose, stands)
         self._first = n = HEADINGS * SIDE * SIDE
         graph = csr_matrix(_edges(stands, turns, cost, begins), shape=(n + 1, n + 1))

@@ -12,16 +12,13 @@ from jexplore import btm
 from jexplore.arrays.poses import wrapped
 from jexplore.btm import Btm
 from jexplore.driving.local.sight import SeenPlace
+from jexplore.driving.vehicle import SCAN_RANGE_M
 from jexplore.tracemap.record import NODE_TYPES
 
 SAME_M = 0.5  # two places of a type no farther apart than this are one node,
 SAME_RADII = 0.6  # or than this share of the smaller clearance
-SAME_RAD = math.radians(35)  # two exits of a node less apart than this are one
-SAME_END_RAD = math.radians(70)  # the same where both lead to one node
-NEAR_M = 4.0  # a robot no farther than this from a node sees which exits it has
-MOVED_M = 0.25  # the tries at a way begin anew where its seen part is longer by this than before
-
-
+SAME_RAD = math.radians(35)  # two exits of a node less apart than this are one, or than twice that if they have one end
+NEAR_M = SCAN_RANGE_M / 2  # a robot no farther than this from a node sees which exits it has
 TRIES = 3  # times that the robot goes in vain to a node, to an exit's end or along a link before it gives that up
 FAIL_M = 10.0  # a link along which it did not come counts as longer by this each time
 
@@ -141,13 +138,13 @@ class TraceMap:
 
             def off(exit_, way=way, to=to):
                 apart = abs(wrapped(way.bearing - exit_.bearing))
-                return apart if apart < (SAME_END_RAD if to >= 0 and exit_.to == to else SAME_RAD) else math.inf
+                return apart if apart < (2 * SAME_RAD if to >= 0 and exit_.to == to else SAME_RAD) else math.inf
 
             best = min((e for e in node.exits if id(e) not in met), key=off, default=None)
             if best is not None and off(best) < math.inf:
                 met.add(id(best))
                 if best.to < 0:
-                    if to >= 0 or length_of(way.path) > length_of(best.path) + MOVED_M:
+                    if to >= 0 or length_of(way.path) > length_of(best.path) + SAME_M / 2:  # it was seen to lead on
                         best.tries = 0
                     best.bearing, best.path, best.to = way.bearing, way.path, to
             elif (place.is_sure and is_near) or not node.exits:

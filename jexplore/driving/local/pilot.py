@@ -6,19 +6,16 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from jexplore.arrays.poses import wrapped
-from jexplore.driving.local.lattice import STEPS, State
-from jexplore.driving.local.window import Fixed, Report, Window, begin_run, make_step, read_report, window_of
+from jexplore.driving.local.lattice import MARGIN_M, STEPS, State
+from jexplore.driving.local.window import CELL_M, Fixed, Report, Window, begin_run, make_step, read_report, window_of
 from jexplore.driving.mission import RunOutcome
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import RunMode
+from jexplore.driving.settings import Tuning
 from jexplore.driving.vehicle import DT_S
 
-ARRIVED_M = 0.05  # from the end of a straight way, half a cell
 TURNED_RAD = 0.04  # from the end of a turn: 5 cm aside after a metre of way
 OFF_RAD = 0.5  # a robot turned farther from its way turns before it drives
-STEER = 1.5  # rate of turning for each radian off a straight way, 1/s
-STOP_M = 0.08  # room ahead at which it stops: two steps' way
-GOAL_M = 0.5  # the goal is reached within this distance of its beacon
-BLIND_STEPS = 30  # steps without a scan after which a run ends: three seconds, less than one turn in place
 LOOK_M = 1.0  # a robot looks anew at the end of the straight piece on which it has come this far
 PATIENCE = 100  # steps more than a motion should take, after which it counts as prevented
 
@@ -39,12 +36,13 @@ class Pilot:
         self,
         fixed: Fixed,
         start: np.ndarray,
-        speed_m_s: float,
+        tuning: Tuning,
         max_steps: int,
         on_step: Callable[[], object] = lambda: None,
     ) -> None:
-        """Stand at a start `[3]`; `on_step` is called after every step."""
-        self._fixed, self._speed, self._max_steps, self._on_step = fixed, speed_m_s, max_steps, on_step
+        """Stand at a start `[3]`; of `tuning` speed and gain count; `on_step` is called after every step."""
+        self._fixed, self._max_steps, self._on_step = fixed, max_steps, on_step
+        self._speed, self._gain = float(tuning.speed_m_s), float(tuning.turn_gain)
         self._turn_rad_s = float(fixed.robot.max_turn_rad_s)
         self._state, report = begin_run(fixed, start)
         self.now: Report = read_report(report)
@@ -82,9 +80,9 @@ class Pilot:
         self.odometer_m += math.dist(before.pose[:2], self.now.pose[:2])
         self._on_step()
         self._blind = self._blind + 1 if self.now.is_blind else 0
-        if self.now.beacon_m < GOAL_M:
+        if self.now.beacon_m < P.graph.goal_m:
             raise RunEnded(RunOutcome.GOAL)
-        if self._blind >= BLIND_STEPS:
+        if self._blind >= P.graph.blind_steps:
             raise RunEnded(RunOutcome.BLIND)
         if len(self.way) >= self._max_steps:
             raise RunEnded(RunOutcome.STEP_LIMIT)
@@ -110,13 +108,13 @@ class Pilot:
         for _ in range(round(due) + PATIENCE):
             off, heading = np.asarray(xy) - self.pose[:2], float(self.pose[2])
             away_m, sign = math.hypot(*off), -1 if back else 1
-            if away_m < ARRIVED_M or sign * (off @ (math.cos(heading), math.sin(heading))) < 0:
+            if away_m < MARGIN_M or sign * (off @ (math.cos(heading), math.sin(heading))) < 0:
                 return True
             turn = wrapped(math.atan2(off[1], off[0]) + math.pi * back - heading)
             speed = sign * min(self._speed, away_m / DT_S) * math.cos(turn) if abs(turn) < OFF_RAD else 0.0
-            if speed and (self.now.behind_m if back else self.now.ahead_m) < STOP_M:
+            if speed and (self.now.behind_m if back else self.now.ahead_m) < 2 * self._speed * DT_S:
                 return False
-            if not self._step(speed, float(np.clip(STEER * turn, -self._turn_rad_s, self._turn_rad_s))):
+            if not self._step(speed, float(np.clip(self._gain * turn, -self._turn_rad_s, self._turn_rad_s))):
                 return False
         return False
 
@@ -126,7 +124,7 @@ class Pilot:
         off = window.xy(first.cell) - self.pose[:2]
         if not self.turn_to(first.heading * math.pi / 4):
             return False
-        if math.hypot(*off) > 2 * ARRIVED_M:
+        if math.hypot(*off) > CELL_M:
             heading = float(self.pose[2])
             if not self.drive_to(window.xy(first.cell), bool(off @ (math.cos(heading), math.sin(heading)) < 0)):
                 return False

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from jexplore.driving.local.area import SeenArea, nearest_to
-from jexplore.driving.local.lattice import Lattice, distance_m
+from jexplore.driving.local.lattice import CLOSE_COST, Lattice, distance_m
 from jexplore.driving.local.nodes import NEAR_M, TRIES, Exit, TraceMap, length_of
 from jexplore.driving.local.pilot import LOOK_M, Pilot, RunEnded
 from jexplore.driving.local.sight import SeenPlace, look
@@ -24,12 +24,8 @@ LINK_M = 1.5  # the robot looks anew at the end of the straight piece of a link 
 POINT_M = 0.3  # a point of a path is reached from a cell no farther away
 PLACE_M = 1.5  # a place is gone to as near as its clearance, and no farther off than this
 FACE_M = 0.15  # the robot turns towards the end of what it knows of a way if that lies farther away
-KEEP_M = 2.0  # another target must be nearer by this than the last one: twice the way between two looks
-DETOUR = 3.0  # a point of a link is gone to where that costs no more than this many times the link
-DETOUR_M = 2.0  # and this
-EDGE_M = 1.0  # at a frontier the robot goes as near to the unknown as this: its length, and a look
-RETRACES = 6  # times in a row that the robot goes back before it is STUCK, twice as far each time
-SURE_RETRACES = 2  # and before it gives up what no route leads to
+RETRACES = 2 * TRIES  # times in a row that the robot goes back before it is STUCK, twice as far each time
+SURE_RETRACES = TRIES - 1  # and before it gives up what no route leads to
 MOST_IDLE = 30  # looks in a row without a step in between, after which the robot is STUCK
 
 
@@ -44,12 +40,12 @@ class LocalRun:
         max_steps: int,
         on_step: Callable[["LocalRun"], object] = lambda run: None,
     ) -> None:
-        """Begin at a start `[3]`; of `tuning` the width and clearance of passages and the speed count.
+        """Begin at a start `[3]`; of `tuning` width and clearance of passages, speed and gain count.
 
         `on_step` is called with the run after every step.
         """
         self._tuning, self._start = tuning, np.asarray(start[:2], float)
-        self.pilot = Pilot(fixed, start, float(tuning.speed_m_s), max_steps, lambda: on_step(self))
+        self.pilot = Pilot(fixed, start, tuning, max_steps, lambda: on_step(self))
         self.robot = fixed.robot
         self.map = TraceMap(self._start, self.pilot.now.truth[:2].astype(float))
         self.mistaken = 0
@@ -192,7 +188,7 @@ class LocalRun:
                     targets += [(found[1], i, exit_, found[0])] if found else []
         if not targets:
             return False
-        _, i, exit_, cell = min(targets, key=lambda target: target[0] - KEEP_M * (target[1:3] == self._target))
+        _, i, exit_, cell = min(targets, key=lambda target: target[0] - 2 * LOOK_M * (target[1:3] == self._target))
         self._target = i, exit_
         window, begin_m = self._lattice.window, self.pilot.odometer_m
         self.pilot.mode = RunMode.BRANCH_SELECTION
@@ -224,7 +220,7 @@ class LocalRun:
     def _go_to_frontier(self):
         """Go to the nearest frontier in the local map; return False without one."""
         window = self._lattice.window
-        found = [(nearest_to(some, self._lattice, EDGE_M), some) for some in self._frontiers]
+        found = [(nearest_to(some, self._lattice, LOOK_M), some) for some in self._frontiers]
         found = [(*there, some) for there, some in found if there]
         if not found:
             return False
@@ -351,6 +347,6 @@ class LocalRun:
             found = self._lattice.nearest(path[i], POINT_M)
             if found:
                 on_path_m = math.dist(path[at], self.pilot.pose[:2]) + length_of(path[at : i + 1])
-                if found[1] < DETOUR * on_path_m + DETOUR_M:
+                if found[1] < (1 + CLOSE_COST) * on_path_m + 2 * LOOK_M:  # no detour: close to walls at most
                     return found[0], i
         return None, at

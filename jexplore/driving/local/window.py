@@ -36,7 +36,7 @@ from jexplore.slam2d.settings import SlamSettings
 
 CELL_M = 0.1  # edge of a cell
 SIDE = 128  # cells: 12.8 m, three quarters of what the scanner sees on both sides
-SHIFT = 16  # cells by which the grid moves at once, at least half as many
+SHIFT = SIDE // 8  # cells by which the grid moves at once, at least half as many
 P_FREE = 0.2  # a cell is occupied above this share of hits: a beam along a wall passes many of its cells
 CONTACT_HITS = 30  # hits that a contact counts: seen free, such a cell is free again after 12 s, a few plans
 SLAM_SIZES = Sizes(keys=8192, loops=1)  # key scans of a kilometre of way and as many turns

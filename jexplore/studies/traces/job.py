@@ -43,7 +43,7 @@ STEPS_M2 = 100  # steps of 4 cm for each square metre of free area: four metres 
 PERCEPTIONS = "triangles", "map"
 AUTO = "auto"
 """Triangles on courses and uneven ground, the local map elsewhere."""
-OF_MAP = "width_m", "open_m", "speed_m_s"  # thresholds that count with the second
+OF_MAP = "width_m", "open_m", "speed_m_s", "turn_gain"  # thresholds that count with the second
 START_CLEARANCE_M = 0.5  # of starts that are drawn
 MIN_NODES = 128  # most nodes of a map of a building, at least
 SPARE = 2  # default room for nodes, for each node of the true map
