@@ -8,7 +8,7 @@ import dataclasses
 import math
 
 from jexplore.config import NUMBER_BOUNDS, InputError, checked_names, require_kind, require_number, require_whole
-from jexplore.rules import Odometry, Settings
+from jexplore.rules import Odometry, Settings, checked
 
 
 @checked_names
@@ -50,17 +50,14 @@ ROBOTS = {
 class Noise(Odometry):
     """Errors of the sensors; those of the encoders are `jx.Odometry`."""
 
-    range_m: float = 0.0
+    range_m: float = checked(0.0, high=1)
     """The ranges of both scanners have this standard deviation, in metres."""
-    invalid: float = 0.0
+    invalid: float = checked(0.0, high=1)
     """A beam gives no number (NaN) with this probability."""
-    attitude_deg: float = 0.1
+    attitude_deg: float = checked(0.1, high=10)
     """The attitude sensor has this standard deviation, in degrees."""
-    beacon_m: float = 0.05
+    beacon_m: float = checked(0.05, high=1)
     """The distance of the goal's beacon has this standard deviation, in metres."""
-
-    def __post_init__(self) -> None:
-        self._require("noise", {"range_m": 1, "beacon_m": 1, "invalid": 1, "attitude_deg": 10})
 
 
 @checked_names

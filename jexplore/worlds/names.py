@@ -19,22 +19,39 @@ import math
 import os
 import re
 from collections.abc import Collection, Sequence
+from typing import NamedTuple
 
 from jexplore.config import InputError, require_number
 
-SUFFIXES: dict[str, tuple[str, ...]] = {
-    "ROS": ("yaml", "yml"),
-    "image": ("png", "pgm", "pbm", "ppm", "jpg", "jpeg", "bmp", "gif", "tif", "tiff"),
-    "HouseExpo": ("json",),
-    "CARMEN": ("log", "clf"),
-    "ROS bag": ("bag", "db3", "mcap"),
-}
-"""Kind of file -> its suffixes, in either case."""
 
-_KIND_OF = {suffix: kind for kind, suffixes in SUFFIXES.items() for suffix in suffixes}
+class FileKind(NamedTuple):
+    """A kind of map file."""
+
+    suffixes: tuple[str, ...]  # in either case
+    reader: str  # "module:function" in `readers`; its keyword parameters are `cell_m` and those of the name
+    example: str
+    content: str  # the examples' content that is read
+
+
+FILES = {
+    "ROS": FileKind(("yaml", "yml"), "ros:load_ros", "map.yaml", "a ROS map"),
+    "image": FileKind(
+        ("png", "pgm", "pbm", "ppm", "jpg", "jpeg", "bmp", "gif", "tif", "tiff"),
+        "images:load_image",
+        "map.png@16x16, map.png@0.05",
+        "a picture, with its sides in metres or its metres a pixel",
+    ),
+    "HouseExpo": FileKind(("json",), "houseexpo:load_houseexpo", "plan.json", "a HouseExpo plan"),
+    "CARMEN": FileKind(("log", "clf"), "carmen:load_carmen", "scans.log", "a CARMEN log"),
+    "ROS bag": FileKind(("bag", "db3", "mcap"), "bags:load_bag", "run.bag, run.mcap", "a ROS bag"),
+}
+
+_KIND_OF = {suffix: name for name, kind in FILES.items() for suffix in kind.suffixes}
 _CUT = re.compile(r"\.(" + "|".join(sorted(_KIND_OF, key=len, reverse=True)) + r")(?=$|[@:])", re.IGNORECASE)
-_GENERATOR = re.compile(r"(?P<base>[A-Za-z_][\w-]*)(#(?P<seed>[^:]*))?(:(?P<parameters>.*))?", re.DOTALL)
-_FOREIGN = re.compile(r"(?P<base>[A-Za-z_][\w.]*:[A-Za-z_]\w*)(#(?P<seed>[^:]*))?(:(?P<parameters>.*))?", re.DOTALL)
+_GENERATOR, _FOREIGN = (
+    re.compile(rf"(?P<base>{base})(#(?P<seed>[^:]*))?(:(?P<parameters>.*))?", re.DOTALL)
+    for base in (r"[A-Za-z_][\w-]*", r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+)
 _SEEDS = 2**32
 METADATA = "metadata.yaml"
 """The file that makes a folder a recording of ROS 2."""
@@ -49,7 +66,7 @@ class WorldName:
     """A world name, taken apart."""
 
     name: str  # the whole, as the user typed it
-    kind: str  # `generator`, or a key of `SUFFIXES`
+    kind: str  # `generator`, or a key of `FILES`
     base: str
     """Name of the generator, `module:function` of a user's, or path of the file; that of a folder's `metadata.yaml` for
     a recording of ROS 2."""
@@ -91,9 +108,7 @@ def parse_name(name: str, *, generators: Collection[str]) -> WorldName:
 
 
 def require_parameters(parsed: WorldName, permitted: Collection[str]) -> None:
-    """Refuse a parameter other than the permitted ones, those of `INSIDE` included in the name of a file."""
-    if parsed.kind != "generator":
-        permitted = [*permitted, *INSIDE]
+    """Refuse a parameter other than the permitted ones."""
     for key in parsed.parameters:
         if key == "cell_m":
             raise InputError(f"{parsed.name!r}: cell_m is an option of its own, not a parameter of the world's name")

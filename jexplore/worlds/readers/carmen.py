@@ -51,7 +51,7 @@ def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = Non
     """
     path = os.fspath(path)
     if max_range_m is not None:
-        require_number("max_range_m", max_range_m, low_open=True, high=1000)
+        require_number(f"{path!r}: max_range_m", max_range_m, low_open=True, high=1000)
     scans, scanner, first, others, said_m, told = [], None, 0, set(), None, []
     for number, line in enumerate(read_text(path, _MAX_BYTES).splitlines(), start=1):
         word = line.split(maxsplit=1)[0] if line.strip() else ""

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jexplore.config import InputError, checked_names
-from jexplore.worlds.names import METADATA, SUFFIXES
+from jexplore.worlds.names import FILES, METADATA
 from jexplore.worlds.readers.bags import Kind, connections_of, opened_bag
 from jexplore.worlds.readers.scans import ScanLog
 
@@ -25,7 +25,7 @@ def is_bag(path: str | os.PathLike[str]) -> bool:
     path = os.fspath(path)
     ending = os.path.splitext(path)[1].lower().lstrip(".")
     folder = os.path.dirname(path) or "." if os.path.basename(path) == METADATA else path
-    return ending in SUFFIXES["ROS bag"] or os.path.isfile(os.path.join(folder, METADATA))
+    return ending in FILES["ROS bag"].suffixes or os.path.isfile(os.path.join(folder, METADATA))
 
 
 @checked_names

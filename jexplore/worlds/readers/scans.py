@@ -77,7 +77,7 @@ class ScanMap:
 
         `p_free` is the largest reflection probability of a free cell. The start is the robot's, if that cell is free.
         """
-        require_number("p_free", p_free, high=1, high_open=True)
+        require_number(f"{name or 'scans'!r}: p_free", p_free, high=1, high_open=True)
         occupied = ~np.asarray(is_free(self.grid, p_free))
         if occupied.all():
             raise InputError(f"{name or 'scans'!r}: no cell is free at p_free = {p_free:g}")
@@ -114,10 +114,10 @@ def fold_scans(
       Holz et al. 2010, section 2.1; Amanatides and Woo 1987.
     """
     require_setting("cell_m", cell_m)
-    require_number("no_echo_m", no_echo_m, high=1000)
+    require_number(f"{name!r}: no_echo_m", no_echo_m, high=1000)
     longest_m = log.max_range_m
     if range_m is not None:
-        longest_m = min(longest_m, require_number("range_m", range_m, low_open=True, high=1000))
+        longest_m = min(longest_m, require_number(f"{name!r}: range_m", range_m, low_open=True, high=1000))
     at, angle = np.round(log.poses[:, :2] / cell_m, 9), log.poses[:, 2:] + log.angles_rad  # x and y in cells
     ends = log.echo & (log.ranges < longest_m)
     # Up to here a beam enters cells: to where it ends, that included, or to where it is no longer believed, exclusive.
