@@ -138,22 +138,7 @@ def reach(traversable: Array, row: Array | int, col: Array | int, goals: Array |
     words = bits.pack(traversable)
     if goals is not None:
         goals = jnp.pad(goals, ((0, bits.WORD * words.shape[0] - goals.shape[0]), (0, 0)))
-    return reach_packed(words, row, col, goals)[: traversable.shape[0]]
-
-
-def reach_packed(
-    words: Array,
-    row: Array | int,
-    col: Array | int,
-    goals: Array | None = None,
-    *,
-    limit: Array | int = FAR,
-) -> Array:
-    """Compute `reach` with packed traversable cells, `[K, W]` uint32: `[32 K, W]` int32.
-
-    `goals` is `[32 K, W]` bool, or None; costs above `limit` may not be final either.
-    """
-    return spread(words, None, (row, col), goals, jnp.int32(limit), STEPS)
+    return spread(words, at=(row, col), goals=goals)[: traversable.shape[0]]
 
 
 def nearest_source(words: Array, sources: Array, n: int) -> Array:
@@ -172,24 +157,36 @@ def nearest_source(words: Array, sources: Array, n: int) -> Array:
     # A cost and a source in one number: its lowest bits are the source's.
     scale = 2 ** max(n - 1, 1).bit_length()
     start = jnp.where(sources >= 0, sources, FAR)
-    cost = spread(words, start, (0, 0), None, jnp.int32(FAR), (70 * scale, 99 * scale))
+    cost = spread(words, start, steps=(70 * scale, 99 * scale))
     return jnp.where(cost < FAR, cost % scale, -1)
 
 
-def _up_and_down(
-    cost: Array,
-    motions: Sequence[Array],
-    extent: tuple[Array, Array],
-    middle: Array | int,
-    far: Array | int,
-    steps: tuple[int, int],
-    extra: Array | None,
+def spread(
+    words: Array,
+    start: Array | None = None,
+    *,
+    at: tuple[Array | int, Array | int] = (0, 0),
+    goals: Array | None = None,
+    limit: Array | int = FAR,
+    steps: tuple[int, int] = STEPS,
+    extra: Array | None = None,
 ) -> Array:
-    """Make two sweeps, of the rows of an extent no further than `far` from the middle one."""
-    rows = jnp.maximum(extent[0], middle - far), jnp.minimum(extent[1], middle + far)
-    ahead, (ne, nw, sw, se) = motions[0], motions[4:]
-    cost = _sweep(cost, (ahead, ne, nw), rows, steps, extra, reverse=False)
-    return _sweep(cost, (ahead, se, sw), rows, steps, extra, reverse=True)
+    """Compute costs of the cheapest paths: `[32 K, W]` int32, FAR where no path leads.
+
+    Args:
+      words: `[K, W]` uint32, packed traversable cells.
+      start: `[32 K, W]` int32, initial costs, FAR elsewhere; None for 0 at one cell.
+      at: `(row, col)` int32, that cell.
+      goals: `[32 K, W]` bool, or None: costs above that of the cheapest goal may not be final. None with `start`.
+      limit: costs above this may not be final either. FAR with `start`.
+      steps: costs of a straight and a diagonal step. Static.
+      extra: `[32 K, W]` int32, what it costs to enter each cell besides, at most `FAR - 1`; None for nothing.
+    """
+
+    def run(words: Array, start: Array | None, at: Any, goals: Array | None, limit: Any, extra: Array | None) -> Array:
+        return _sweeps(words, start, at, goals, limit, steps, extra)
+
+    return one_kernel(run, words, start, at, goals, jnp.int32(limit), extra)
 
 
 def _sweeps(
@@ -197,20 +194,11 @@ def _sweeps(
     start: Array | None,
     at: tuple[Array | int, Array | int],
     goals: Array | None,
-    limit: Array | int,
+    limit: Array,
     steps: tuple[int, int],
-    extra: Array | None = None,
+    extra: Array | None,
 ) -> Array:
-    """Compute costs of the cheapest paths, row by row in turn upwards, downwards, and across.
-
-    Args:
-      words: `[K, W]` uint32, packed traversable cells.
-      start: `[32 K, W]` int32, initial costs, FAR elsewhere; None for 0 at one cell.
-      at: `(row, col)` int32, that cell.
-      goals, limit: as for `reach_packed`; None and FAR if `start` is given.
-      steps: costs of a straight and a diagonal step. Static.
-      extra: `[32 K, W]` int32, what it costs to enter each cell besides, at most `FAR - 1`; None for nothing.
-    """
+    """Compute `spread` row by row in turn upwards, downwards, and across."""
     height, width = bits.WORD * words.shape[0], words.shape[1]
     if spare := -width % bits.WORD:
         goals = None if goals is None else jnp.pad(goals, ((0, 0), (0, spare)))
@@ -224,14 +212,22 @@ def _sweeps(
 
     motions, across, rows, cols = stored(words[0, 0] >= 0, prepare)
 
+    def up_and_down(cost: Array, motions: Sequence[Array], within: Any, extra: Array | None) -> Array:
+        ahead, (ne, nw, sw, se) = motions[0], motions[4:]
+        cost = _sweep(cost, (ahead, ne, nw), within, steps, extra, reverse=False)
+        return _sweep(cost, (ahead, se, sw), within, steps, extra, reverse=True)
+
+    def near(extent: tuple[Array, Array], middle: Array | int, far: Array) -> tuple[Array, Array]:
+        return jnp.maximum(extent[0], middle - far), jnp.minimum(extent[1], middle + far)
+
     def sweep(state: Any) -> Any:
         cost, far, _, n = state
-        cost = _up_and_down(cost.T, across, cols, at[1], far, steps, None if extra is None else extra.T).T
-        cost = _up_and_down(cost, motions, rows, at[0], far, steps, extra)
+        own = near(rows, at[0], far)
+        cost = up_and_down(cost.T, across, near(cols, at[1], far), None if extra is None else extra.T).T
+        cost = up_and_down(cost, motions, own, extra)
         # Costs depend on cheaper costs only: once one more motion makes no cost lower up to the horizon, all costs up
         # to there are final. Rows further away hold none of these, for the horizon never grows.
-        first, last = jnp.maximum(rows[0], at[0] - far), jnp.minimum(rows[1], at[0] + far)
-        seen = jnp.minimum(first, at[0]), jnp.maximum(last, at[0])
+        seen = jnp.minimum(own[0], at[0]), jnp.maximum(own[1], at[0])
         change, best = _lowest_change(cost, motions, goals, seen, steps, extra)
         horizon = jnp.minimum(limit, best)
         # How far the horizon lies is known from a single start only.
@@ -242,23 +238,6 @@ def _sweeps(
     # A path of n cells is settled after at most n sweeps.
     state: Any = cost, limit // STRAIGHT if start is None else jnp.int32(FAR), limit >= 0, jnp.int32(0)
     return lax.while_loop(lambda s: s[2] & (s[3] < height * width), sweep, state)[0][1:-1, 1:-1]
-
-
-def spread(
-    words: Array,
-    start: Array | None,
-    at: tuple[Array | int, Array | int],
-    goals: Array | None,
-    limit: Array | int,
-    steps: tuple[int, int],
-    extra: Array | None = None,
-) -> Array:
-    """Run `_sweeps` as one piece of code: the rows are many small operations."""
-
-    def run(words: Array, start: Array | None, at: Any, goals: Array | None, limit: Any, extra: Array | None) -> Array:
-        return _sweeps(words, start, at, goals, limit, steps, extra)
-
-    return one_kernel(run, words, start, at, goals, limit, extra)
 
 
 def flood(words: Array, row: Array | int, col: Array | int) -> Array:

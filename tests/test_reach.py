@@ -24,8 +24,8 @@ from jexplore.reach import (
     flood,
     nearest_source,
     reach,
-    reach_packed,
     saturated,
+    spread,
 )
 
 pytestmark = pytest.mark.jit
@@ -204,7 +204,7 @@ def test_costs_saturate_below_far_and_are_counted():
 def _limited(passable, goals, row, col, limit):
     words = bits.pack(passable)
     goals = jnp.pad(goals, ((0, 32 * words.shape[0] - passable.shape[0]), (0, 0)))
-    return reach_packed(words, row, col, goals, limit=limit)[: passable.shape[0]]
+    return spread(words, at=(row, col), goals=goals, limit=limit)[: passable.shape[0]]
 
 
 def limited(passable, goals, row, col, limit):

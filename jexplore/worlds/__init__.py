@@ -18,7 +18,7 @@ from jexplore.arrays.pictures import Listing
 from jexplore.config import InputError, checked_names, require_number, require_setting
 from jexplore.users import import_object
 from jexplore.worlds import names
-from jexplore.worlds.bounds import PARAMETERS, require_side
+from jexplore.worlds.bounds import PARAMETERS, require_generator, require_side
 
 if TYPE_CHECKING:
     from jexplore.worlds.world import World
@@ -119,6 +119,7 @@ def _generate(parsed: names.WorldName, cell_m: float) -> "World":
     names.require_parameters(parsed, defaults)
     given = {key: _as_default(parsed, key, value, defaults[key]) for key, value in parsed.parameters.items()}
     if parsed.base in GENERATORS:
+        require_generator(parsed.base, {**defaults, **given, "cell_m": cell_m})
         return make(parsed.seed, cell_m=cell_m, **given)
     from jexplore.worlds.own import make_world
 

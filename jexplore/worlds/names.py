@@ -21,7 +21,7 @@ import re
 from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
-from jexplore.config import InputError, require_number
+from jexplore.config import MAX_SEED, InputError, require_number
 
 
 class FileKind(NamedTuple):
@@ -52,7 +52,6 @@ _GENERATOR, _FOREIGN = (
     re.compile(rf"(?P<base>{base})(#(?P<seed>[^:]*))?(:(?P<parameters>.*))?", re.DOTALL)
     for base in (r"[A-Za-z_][\w-]*", r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 )
-_SEEDS = 2**32
 METADATA = "metadata.yaml"
 """The file that makes a folder a recording of ROS 2."""
 INSIDE = ("inside", "inside_x_m", "inside_y_m")
@@ -68,8 +67,7 @@ class WorldName:
     name: str  # the whole, as the user typed it
     kind: str  # `generator`, or a key of `FILES`
     base: str
-    """Name of the generator, `module:function` of a user's, or path of the file; that of a folder's `metadata.yaml` for
-    a recording of ROS 2."""
+    """Name of the generator, `module:function` of a user's, or path of the file or the recording's folder."""
     seed: int = 0  # seed of a generator
     scale: float | tuple[float, float] | None = None
     """Text after the `@`: metres a pixel, or width and height in metres; None without one."""
@@ -87,9 +85,9 @@ def parse_name(name: str, *, generators: Collection[str]) -> WorldName:
     if foreign is not None:
         match, base = foreign, foreign["base"]
     elif match is None or base not in generators:
-        folder = _recording(name)
-        if folder is not None:
-            return _parse_file(name, folder)
+        cuts = [len(name), *(colon.start() for colon in re.finditer(":", name))]
+        if recordings := [cut for cut in cuts if recording_folder(name[:cut])]:
+            return _parse_file(name, max(recordings))
         if os.path.isdir(name):
             raise InputError(f"{name!r}: is a directory; name a map file in it")
         if match is None or os.path.isfile(name):
@@ -158,28 +156,27 @@ def _there_are(word: str, known: Collection[str]) -> str:
     return ", ".join(known) + (f" (did you mean {near[0]!r}?)" if near else "")
 
 
-def _recording(name: str) -> int | None:
-    """Return the end of the longest path to a folder with a recording of ROS 2; None without one."""
-    cuts = [len(name), *(match.start() for match in re.finditer(":", name))]
-    return max((cut for cut in cuts if cut and os.path.isfile(os.path.join(name[:cut], METADATA))), default=None)
+def recording_folder(path: str) -> str | None:
+    """Return the folder of a recording of ROS 2 by its path or that of its `metadata.yaml`; None for another path."""
+    folder = (os.path.dirname(path) or ".") if os.path.basename(path) == METADATA else path
+    return folder if path and os.path.isfile(os.path.join(folder, METADATA)) else None
 
 
 def _parse_file(name: str, cut: int) -> WorldName:
     path, rest = name[:cut], name[cut:]
     scale, colon, parameters = rest.partition(":")
-    is_folder = os.path.isfile(os.path.join(path, METADATA))
     return WorldName(
         name=name,
-        kind="ROS bag" if is_folder else _KIND_OF[path.rpartition(".")[2].lower()],
-        base=os.path.join(path, METADATA) if is_folder else path,
+        kind="ROS bag" if recording_folder(path) else _KIND_OF[path.rpartition(".")[2].lower()],
+        base=path,
         scale=_scale(name, scale[1:]) if scale else None,
         parameters=_parameters(name, parameters) if colon else {},
     )
 
 
 def _seed(name: str, text: str) -> int:
-    if not re.fullmatch("[0-9]{1,10}", text) or int(text) >= _SEEDS:
-        raise InputError(f"{name!r}: the seed after '#' must be an integer from 0 to {_SEEDS - 1}, got {text!r}")
+    if not re.fullmatch("[0-9]{1,10}", text) or int(text) > MAX_SEED:
+        raise InputError(f"{name!r}: the seed after '#' must be an integer from 0 to {MAX_SEED}, got {text!r}")
     return int(text)
 
 
