@@ -8,7 +8,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self, get_args, get_origin
 
 from jexplore.config import (
     InputError,
@@ -17,7 +17,6 @@ from jexplore.config import (
     is_array,
     require_number,
     require_whole,
-    shown,
     unknown,
 )
 
@@ -40,6 +39,8 @@ class Settings:
                 continue
             if field.type is bool and not isinstance(value, bool):
                 raise InputError(f"{name} must be True or False, got {value!r}")
+            if get_origin(field.type) is Literal and (isinstance(value, float) or value not in get_args(field.type)):
+                raise unknown(field.name, str(value), [*map(str, get_args(field.type))])
             if "check" in field.metadata and not (value is field.default is None):
                 field.metadata["check"](name, value)
 
@@ -89,8 +90,6 @@ class Lidar(Settings):
         return dataclasses.replace(self, sigma_m=0.0, dropout=0.0, no_echo="free")
 
     def __post_init__(self) -> None:
-        if self.no_echo not in ("free", "unknown"):
-            raise InputError(f"lidar.no_echo must be 'free' or 'unknown', got {shown(self.no_echo)}")
         super().__post_init__()
         if self.n_beams > 1:
             require_number("lidar.fov_deg", self.fov_deg, low_open=True)
@@ -98,7 +97,6 @@ class Lidar(Settings):
 
 
 MOST_TIME_S = 2**30 // 1000  # s; clocks stand still there, see `exploration.motion`
-MOTIONS = ("lattice", "diff-drive")
 POSES = ("true", "odometry", "icp", "icp+closing")
 """Ways in which a robot learns its pose: it is given; by odometry alone; by matching its scans as well, and by closing
 loops."""
@@ -226,17 +224,11 @@ class Rules(Settings):
     def __post_init__(self) -> None:
         object.__setattr__(self, "odometry", as_record("odometry", self.odometry, Odometry))
         object.__setattr__(self, "pose", "true" if self.pose is True else self.pose)  # as YAML has it
-        if self.pose not in POSES:
-            raise unknown("pose", str(self.pose), POSES)
-        if self.motion not in MOTIONS:
-            raise unknown("motion", str(self.motion), MOTIONS)
+        super().__post_init__()
         if self.motion != "lattice" and self.pose != "true":
             raise InputError(
                 f"motion diff-drive is for a robot whose pose is given: pose must be true, got {self.pose}"
             )
-        super().__post_init__()
-        if isinstance(self.frontier_connectivity, float) or self.frontier_connectivity not in (8, 4):
-            raise InputError(f"rules.frontier_connectivity must be 8 or 4, got {shown(self.frontier_connectivity)}")
         if self.motion != "lattice" and self.scan_every_m:
             raise InputError("rules.scan_every_m is for the lattice: motion diff-drive scans by robot.scan_period_s")
 
