@@ -3,6 +3,7 @@
 import functools
 from typing import NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -256,15 +257,12 @@ def segment(free: Array, criteria: Criteria, *, form: Form) -> Segments:
     Returns:
       `Segments`. Free cells that no seed reaches have the label -1; without any critical point all have.
 
-    Raises:
-      ValueError: while tracing, if `free` is not a bool matrix.
-
     Source:
       Holz et al. 2010, Figure 7. Changed: closest along paths, so that segments do not leak through walls; the order
         of merging is fixed; see `skeleton.voronoi_graph`.
     """
-    if free.ndim != 2 or free.dtype != bool:
-        raise ValueError(f"expected free: [H, W] bool, got {free.shape} {free.dtype}")
+    chex.assert_rank(free, 2)
+    chex.assert_type(free, bool)
     (height, width), n = free.shape, 2 * form.splits
     none = height * width
     graph, _, _ = voronoi_graph(~free, criteria.gamma**2, size=form.nodes)

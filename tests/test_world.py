@@ -113,7 +113,9 @@ def test_ring_of_the_smallest_worlds():
 def test_ring_refuses_to_exceed_the_limit():
     at_limit = World(occupied=np.zeros((1, MAX_SIDE - 2), bool))
     assert with_ring(at_limit).shape == (3, MAX_SIDE)
-    refused("4097 cells are more than 4096", with_ring, World(occupied=np.zeros((1, MAX_SIDE - 1), bool), name="long"))
+    refused(
+        "4097 cells are more than 4096", require_world, World(occupied=np.zeros((1, MAX_SIDE - 1), bool), name="long")
+    )
 
 
 # --- occupancy arrays

@@ -116,7 +116,8 @@ def load_carmen(
 
     A cell is free if it was seen and its reflection probability is at most `p_free`; every other is occupied.
     """
-    require_of_scans(path, p_free=p_free, range_m=range_m, no_echo_m=no_echo_m)  # before much is read
+    # Before much is read.
+    require_of_scans(path, p_free=p_free, range_m=range_m, no_echo_m=no_echo_m, max_range_m=max_range_m)
     log = read_carmen(path, max_range_m=max_range_m)
     scans = fold_scans(log, cell_m=cell_m, range_m=range_m, no_echo_m=no_echo_m, name=path)
     return scans.world(p_free=p_free, name=path)
