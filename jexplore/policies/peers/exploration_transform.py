@@ -42,7 +42,7 @@ def transform(params: Params, belief: Belief, reached: Field) -> Array:
     words, height = bits.pack(reached.traversable), belief.driven.shape[0]
     below = ((0, bits.WORD * words.shape[0] - height), (0, 0))
     start = jnp.pad(jnp.where(reached.frontier, 0, FAR), below, constant_values=FAR)
-    return spread(words, start, extra=jnp.pad(danger, below))[:height]
+    return spread(words, start, steps=STEPS, extra=jnp.pad(danger, below))[:height]
 
 
 def descent(value: Array, traversable: Array, row: Array, col: Array) -> tuple[Array, Array, Array]:
