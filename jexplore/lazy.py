@@ -50,8 +50,8 @@ def read_stub(module: str, stub: str) -> Lazy:
                 raise
             raise AttributeError(f"module {module!r} has no attribute {name!r} here: {error}") from None
         for module_name, own_name in home.values():  # also of classes whose objects only functions make
-            loaded = vars(sys.modules.get(module_name, object))
-            if _takes_arguments(thing := loaded.get(own_name)):
+            thing: Any = vars(sys.modules.get(module_name, object)).get(own_name)
+            if _takes_arguments(thing):
                 setattr(sys.modules[module_name], own_name, checked_names(thing))
         if name not in there:  # a folder is there once it has been imported
             there[name] = getattr(found, own)

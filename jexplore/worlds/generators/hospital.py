@@ -174,7 +174,7 @@ def _treatment(rng, plan, begin, stack, hall, kinds):
 
 def _suites(rng, plan, ends, front, back):
     """Draw waiting rooms at a corridor (y = `front`), each with two or three rooms behind it."""
-    for x0, x1 in stretches(rng, *ends, [(1.0, 6.5, 10.0)]):
+    for x0, x1 in stretches(rng, ends[0], ends[1], [(1.0, 6.5, 10.0)]):
         middle = front + (back - front) * rng.uniform(0.42, 0.52)
         plan.room((x0, min(front, middle), x1, max(front, middle)), kind="waiting")
         for at in (0.1, 0.9) if x1 - x0 > 7.5 else (0.5,):
