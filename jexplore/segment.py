@@ -274,8 +274,7 @@ def segment(free: Array, criteria: Criteria, *, form: Form) -> Segments:
     seed = groups.at(graph.cell, sides, none)
     at_seed = jnp.full((none,), n, jnp.int32).at[seed].min(lax.iota(jnp.int32, n), mode="drop").reshape(height, width)
     sources = jnp.where((at_seed < n) & free, at_seed, -1)
-    padded = jnp.pad(sources, ((0, -height % bits.WORD), (0, 0)), constant_values=-1)
-    label = nearest_source(bits.pack(free), padded, n)[:height]
+    label = nearest_source(free, sources, n)
     # Two splits side by side may share a cell between them, which only one segment can grow from.
     start = jnp.where(seed < none, groups.at(at_seed, seed, n), lax.iota(jnp.int32, n))
     group = merged(borders(label, n), start)
