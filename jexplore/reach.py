@@ -32,11 +32,6 @@ def motions_into(words: Array) -> list[Array]:
     return [words] * 4 + diagonal
 
 
-def source(shape: tuple[int, int], row: Array | int, col: Array | int) -> Array:
-    """Return FAR everywhere but 0 at one cell: `[H, W]` int32."""
-    return lax.dynamic_update_slice(jnp.full(shape, FAR, jnp.int32), jnp.zeros((1, 1), jnp.int32), (row, col))
-
-
 def _sweep(
     cost: Array,
     possible: Sequence[Array],
@@ -114,13 +109,12 @@ def _lowest_change(
 
 
 @jax.jit
-def reach(traversable: Array, row: Array | int, col: Array | int, goals: Array | None = None) -> Array:
+def reach(traversable: Array, row: Array | int, col: Array | int) -> Array:
     """Compute the cost of the shortest path from a cell to every cell: the reachability map.
 
     Args:
       traversable: `[H, W]` bool; the start need not be.
       row, col: int32, start, inside the map.
-      goals: `[H, W]` bool, or None. If given, only the cheapest goals are wanted: costs above theirs may not be final.
 
     Returns:
       `[H, W]` int32, 2**16 a straight step; FAR where no path leads, or none cheaper than FAR (16,384 straight steps;
@@ -135,61 +129,55 @@ def reach(traversable: Array, row: Array | int, col: Array | int, goals: Array |
     """
     chex.assert_rank(traversable, 2)
     chex.assert_type(traversable, bool)
-    words = bits.pack(traversable)
-    if goals is not None:
-        goals = jnp.pad(goals, ((0, bits.WORD * words.shape[0] - goals.shape[0]), (0, 0)))
-    return reach_packed(words, row, col, goals)[: traversable.shape[0]]
+    return spread(bits.pack(traversable), at=(row, col))[: traversable.shape[0]]
 
 
-def reach_packed(
-    words: Array,
-    row: Array | int,
-    col: Array | int,
-    goals: Array | None = None,
-    *,
-    limit: Array | int = FAR,
-) -> Array:
-    """Compute `reach` with packed traversable cells, `[K, W]` uint32: `[32 K, W]` int32.
-
-    `goals` is `[32 K, W]` bool, or None; costs above `limit` may not be final either.
-    """
-    return spread(words, None, (row, col), goals, jnp.int32(limit), STEPS)
-
-
-def nearest_source(words: Array, sources: Array, n: int) -> Array:
+def nearest_source(traversable: Array, sources: Array, n: int) -> Array:
     """Return the nearest of many sources, along paths.
 
     Args:
-      words: `[K, W]` uint32, packed traversable cells.
-      sources: `[32 K, W]` int32, number of the source in each cell, at least 0 and less than n; -1 elsewhere.
+      traversable: `[H, W]` bool.
+      sources: `[H, W]` int32, number of the source in each cell, at least 0 and less than n; -1 elsewhere.
       n: sources, at most 4096. Static.
 
     Returns:
-      `[32 K, W]` int32, number of the nearest source; -1 where no path leads. Equally near ones: the lowest. Lengths
+      `[H, W]` int32, number of the nearest source; -1 where no path leads. Equally near ones: the lowest. Lengths
         are in units of which a straight step has 70 and a diagonal one 99 (sqrt(2) to 1 in 10,000); a path of more than
         2**30 / 70 / n straight steps, n rounded up to a power of two, does not count.
     """
     # A cost and a source in one number: its lowest bits are the source's.
     scale = 2 ** max(n - 1, 1).bit_length()
     start = jnp.where(sources >= 0, sources, FAR)
-    cost = spread(words, start, (0, 0), None, jnp.int32(FAR), (70 * scale, 99 * scale))
+    cost = spread(bits.pack(traversable), start, steps=(70 * scale, 99 * scale))[: start.shape[0]]
     return jnp.where(cost < FAR, cost % scale, -1)
 
 
-def _up_and_down(
-    cost: Array,
-    motions: Sequence[Array],
-    extent: tuple[Array, Array],
-    middle: Array | int,
-    far: Array | int,
-    steps: tuple[int, int],
-    extra: Array | None,
+def spread(
+    words: Array,
+    start: Array | None = None,
+    *,
+    at: tuple[Array | int, Array | int] = (0, 0),
+    goals: Array | None = None,
+    limit: Array | int = FAR,
+    steps: tuple[int, int] = STEPS,
+    extra: Array | None = None,
 ) -> Array:
-    """Make two sweeps, of the rows of an extent no further than `far` from the middle one."""
-    rows = jnp.maximum(extent[0], middle - far), jnp.minimum(extent[1], middle + far)
-    ahead, (ne, nw, sw, se) = motions[0], motions[4:]
-    cost = _sweep(cost, (ahead, ne, nw), rows, steps, extra, reverse=False)
-    return _sweep(cost, (ahead, se, sw), rows, steps, extra, reverse=True)
+    """Compute costs of the cheapest paths: `[32 K, W]` int32, FAR where no path leads.
+
+    Args:
+      words: `[K, W]` uint32, packed traversable cells.
+      start: `[H, W]` int32, initial costs, FAR elsewhere; None for 0 at one cell. H is up to 32 K, here and below.
+      at: `(row, col)` int32, that cell.
+      goals: `[H, W]` bool, or None: costs above that of the cheapest goal may not be final. None with `start`.
+      limit: costs above this may not be final either. FAR with `start`.
+      steps: costs of a straight and a diagonal step. Static.
+      extra: `[H, W]` int32, what it costs to enter each cell besides, at most `FAR - 1`; None for nothing.
+    """
+
+    def run(words: Array, start: Array | None, at: Any, goals: Array | None, limit: Any, extra: Array | None) -> Array:
+        return _sweeps(words, start, at, goals, limit, steps, extra)
+
+    return one_kernel(run, words, start, at, goals, jnp.int32(limit), extra)
 
 
 def _sweeps(
@@ -197,26 +185,22 @@ def _sweeps(
     start: Array | None,
     at: tuple[Array | int, Array | int],
     goals: Array | None,
-    limit: Array | int,
+    limit: Array,
     steps: tuple[int, int],
-    extra: Array | None = None,
+    extra: Array | None,
 ) -> Array:
-    """Compute costs of the cheapest paths, row by row in turn upwards, downwards, and across.
-
-    Args:
-      words: `[K, W]` uint32, packed traversable cells.
-      start: `[32 K, W]` int32, initial costs, FAR elsewhere; None for 0 at one cell.
-      at: `(row, col)` int32, that cell.
-      goals, limit: as for `reach_packed`; None and FAR if `start` is given.
-      steps: costs of a straight and a diagonal step. Static.
-      extra: `[32 K, W]` int32, what it costs to enter each cell besides, at most `FAR - 1`; None for nothing.
-    """
+    """Compute `spread` row by row in turn upwards, downwards, and across."""
+    given_width = words.shape[1]
+    words = jnp.pad(words, ((0, 0), (0, -given_width % bits.WORD)))
     height, width = bits.WORD * words.shape[0], words.shape[1]
-    if spare := -width % bits.WORD:
-        goals = None if goals is None else jnp.pad(goals, ((0, 0), (0, spare)))
-        start = None if start is None else jnp.pad(start, ((0, 0), (0, spare)), constant_values=FAR)
-        extra = None if extra is None else jnp.pad(extra, ((0, 0), (0, spare)))
-        return _sweeps(jnp.pad(words, ((0, 0), (0, spare))), start, at, goals, limit, steps, extra)[:, :width]
+
+    def padded(array: Array | None, fill: int) -> Array | None:
+        if array is None or array.shape == (height, width):
+            return array
+        more = (0, height - array.shape[0]), (0, width - array.shape[1])
+        return jnp.pad(array, more, constant_values=fill)
+
+    start, goals, extra = padded(start, FAR), padded(goals, False), padded(extra, 0)
 
     def prepare() -> Any:
         across = bits.transposed(words)
@@ -224,41 +208,37 @@ def _sweeps(
 
     motions, across, rows, cols = stored(words[0, 0] >= 0, prepare)
 
+    def up_and_down(cost: Array, motions: Sequence[Array], within: Any, extra: Array | None) -> Array:
+        ahead, (ne, nw, sw, se) = motions[0], motions[4:]
+        cost = _sweep(cost, (ahead, ne, nw), within, steps, extra, reverse=False)
+        return _sweep(cost, (ahead, se, sw), within, steps, extra, reverse=True)
+
+    def near(extent: tuple[Array, Array], middle: Array | int, far: Array) -> tuple[Array, Array]:
+        return jnp.maximum(extent[0], middle - far), jnp.minimum(extent[1], middle + far)
+
     def sweep(state: Any) -> Any:
         cost, far, _, n = state
-        cost = _up_and_down(cost.T, across, cols, at[1], far, steps, None if extra is None else extra.T).T
-        cost = _up_and_down(cost, motions, rows, at[0], far, steps, extra)
+        own = near(rows, at[0], far)
+        cost = up_and_down(cost.T, across, near(cols, at[1], far), None if extra is None else extra.T).T
+        cost = up_and_down(cost, motions, own, extra)
         # Costs depend on cheaper costs only: once one more motion makes no cost lower up to the horizon, all costs up
         # to there are final. Rows further away hold none of these, for the horizon never grows.
-        first, last = jnp.maximum(rows[0], at[0] - far), jnp.minimum(rows[1], at[0] + far)
-        seen = jnp.minimum(first, at[0]), jnp.maximum(last, at[0])
+        seen = jnp.minimum(own[0], at[0]), jnp.maximum(own[1], at[0])
         change, best = _lowest_change(cost, motions, goals, seen, steps, extra)
         horizon = jnp.minimum(limit, best)
         # How far the horizon lies is known from a single start only.
         far = horizon // steps[0] if start is None else far
         return cost, far, (change <= horizon) & (change < FAR), n + 1
 
-    cost = source((height + 2, width + 2), at[0] + 1, at[1] + 1) if start is None else bordered(start, FAR)
+    if start is None:
+        cost = jnp.full((height + 2, width + 2), FAR, jnp.int32)
+        cost = lax.dynamic_update_slice(cost, jnp.zeros((1, 1), jnp.int32), (at[0] + 1, at[1] + 1))
+    else:
+        cost = bordered(start, FAR)
     # A path of n cells is settled after at most n sweeps.
     state: Any = cost, limit // STRAIGHT if start is None else jnp.int32(FAR), limit >= 0, jnp.int32(0)
-    return lax.while_loop(lambda s: s[2] & (s[3] < height * width), sweep, state)[0][1:-1, 1:-1]
-
-
-def spread(
-    words: Array,
-    start: Array | None,
-    at: tuple[Array | int, Array | int],
-    goals: Array | None,
-    limit: Array | int,
-    steps: tuple[int, int],
-    extra: Array | None = None,
-) -> Array:
-    """Run `_sweeps` as one piece of code: the rows are many small operations."""
-
-    def run(words: Array, start: Array | None, at: Any, goals: Array | None, limit: Any, extra: Array | None) -> Array:
-        return _sweeps(words, start, at, goals, limit, steps, extra)
-
-    return one_kernel(run, words, start, at, goals, limit, extra)
+    cost = lax.while_loop(lambda s: s[2] & (s[3] < height * width), sweep, state)[0]
+    return cost[1:-1, 1 : 1 + given_width]
 
 
 def flood(words: Array, row: Array | int, col: Array | int) -> Array:

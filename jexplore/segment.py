@@ -3,6 +3,7 @@
 import functools
 from typing import NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -256,15 +257,12 @@ def segment(free: Array, criteria: Criteria, *, form: Form) -> Segments:
     Returns:
       `Segments`. Free cells that no seed reaches have the label -1; without any critical point all have.
 
-    Raises:
-      ValueError: while tracing, if `free` is not a bool matrix.
-
     Source:
       Holz et al. 2010, Figure 7. Changed: closest along paths, so that segments do not leak through walls; the order
         of merging is fixed; see `skeleton.voronoi_graph`.
     """
-    if free.ndim != 2 or free.dtype != bool:
-        raise ValueError(f"expected free: [H, W] bool, got {free.shape} {free.dtype}")
+    chex.assert_rank(free, 2)
+    chex.assert_type(free, bool)
     (height, width), n = free.shape, 2 * form.splits
     none = height * width
     graph, _, _ = voronoi_graph(~free, criteria.gamma**2, size=form.nodes)
@@ -276,8 +274,7 @@ def segment(free: Array, criteria: Criteria, *, form: Form) -> Segments:
     seed = groups.at(graph.cell, sides, none)
     at_seed = jnp.full((none,), n, jnp.int32).at[seed].min(lax.iota(jnp.int32, n), mode="drop").reshape(height, width)
     sources = jnp.where((at_seed < n) & free, at_seed, -1)
-    padded = jnp.pad(sources, ((0, -height % bits.WORD), (0, 0)), constant_values=-1)
-    label = nearest_source(bits.pack(free), padded, n)[:height]
+    label = nearest_source(free, sources, n)
     # Two splits side by side may share a cell between them, which only one segment can grow from.
     start = jnp.where(seed < none, groups.at(at_seed, seed, n), lax.iota(jnp.int32, n))
     group = merged(borders(label, n), start)

@@ -322,7 +322,7 @@ def test_bad_numbers_are_refused(drive, changes, said):
         ({"poses": np.ones((20, 2))}, r"poses of a ScanLog must be finite numbers of shape \[20, 3\], got float64"),
         ({"poses": np.full((20, 3), np.nan)}, "poses of a ScanLog must be finite"),
         ({"times": np.array(["a"] * 20)}, r"times of a ScanLog must be finite numbers of shape \[20\], got <U1"),
-        ({"max_range_m": 0}, "max_range_m of a ScanLog must be a number above 0"),
+        ({"max_range_m": 0}, "max_range_m must be a number above 0"),
     ],
 )
 def test_bad_scans_are_refused(drive, changes, said):

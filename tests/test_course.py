@@ -14,7 +14,7 @@ from jexplore.tracemap.rooted import topology_from
 from jexplore.tracemap.similarity import code
 from jexplore.worlds import load_world
 from jexplore.worlds.generators.course import course
-from jexplore.worlds.generators.route import largest_circle
+from jexplore.worlds.generators.course_map import largest_circle
 from jexplore.worlds.starts import check_start, clear_of_walls
 from jexplore.worlds.world import with_ring
 
@@ -443,6 +443,6 @@ def test_a_wrong_parameter_is_refused(name, line):
     refused(line, load_world, name)
 
 
-@pytest.mark.parametrize("wrong", [{"cell_m": 0.25}, {"cell_m": 0.0}])
-def test_wrong_cells_are_refused(wrong):
-    refused("course", course, 0, **wrong)
+@pytest.mark.parametrize("cell_m", [0.25, 0.0])
+def test_wrong_cells_are_refused(cell_m):
+    refused("cell_m", load_world, "course", cell_m)

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from ref.refusals import refused
 
 from jexplore.extraction.extract import extract
 from jexplore.tracemap.record import NOWHERE
@@ -227,14 +226,6 @@ def test_legs_of_a_table_are_looked_through():
     plain, found = mapped(TEE), mapped(with_legs)
     assert found == plain
     assert len(mapped(with_legs, clutter_m=0.0).links) > len(plain.links)
-
-
-def test_wrong_input_is_refused():
-    refused("no cell of the map is free", mapped, board())
-    refused("start", mapped, STRAIGHT, start=(0, 0))
-    refused("bool matrices", extract, STRAIGHT, STRAIGHT.astype(int), CELL_M)
-    for name in ("cell_m", "width_m", "open_m", "clutter_m"):
-        refused(name, extract, STRAIGHT, STRAIGHT, **{"cell_m": CELL_M, name: -1.0})
 
 
 # ---------------------------------------------------------------- laws

@@ -8,8 +8,8 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "jexplore"
 FLOORS = (
-    {"config", "lazy"},
-    {"rules"},
+    {"config"},
+    {"lazy", "rules"},
     {"arrays"},
     {"kernels", "tracemap", "users"},
     {"engine", "btm", "worlds", "planning", "report"},

@@ -12,6 +12,7 @@ from ref.refusals import refused
 from scipy import ndimage
 
 from jexplore.rooms.scores import label_components
+from jexplore.worlds import load_world
 from jexplore.worlds.bounds import PARAMETERS
 from jexplore.worlds.generators.cave import _widen, cave
 from jexplore.worlds.generators.course import course
@@ -85,7 +86,7 @@ def assert_sound(world):
 
 
 def test_two_rooms_and_a_door():
-    plan = FloorPlan(4.0, 3.0)
+    plan = FloorPlan("rooms", 0, 4.0, 3.0)
     left, right = plan.room((0.0, 0.0, 2.0, 3.0)), plan.room((2.0, 0.0, 4.0, 3.0))
     plan.door(left, right, 1.0)
     plan.blocks.append((1.0, 0.5, 1.5, 1.0))
@@ -107,7 +108,7 @@ def test_two_rooms_and_a_door():
 def test_a_door_keeps_jambs_and_lets_a_robot_pass():
     for cell_m, n in ((0.1, 7), (0.05, 13), (0.2, 3), (0.3, 3)):
         assert passable_cells(cell_m) == n
-        plan = FloorPlan(4.0, 2.0)
+        plan = FloorPlan("rooms", 0, 4.0, 2.0)
         left, right = plan.room((0.0, 0.0, 2.0, 2.0)), plan.room((2.0, 0.0, 4.0, 2.0))
         plan.door(left, right, 0.1, at=1.0)  # too narrow for any robot: widened to what passes
         world = plan.render(cell_m)
@@ -137,7 +138,7 @@ def test_walls_have_one_thickness_wherever_they_stand():
 
 def two_rooms():
     """A room 4 m wide and one 6 m wide, with two doors between them, 6 m deep."""
-    plan = FloorPlan(10.0, 6.0)
+    plan = FloorPlan("rooms", 0, 10.0, 6.0)
     left, right = plan.room((0.0, 0.0, 4.0, 6.0)), plan.room((4.0, 0.0, 10.0, 6.0), kind="open")
     for at in (0.0, 1.0):
         plan.door(left, right, 0.9, at)
@@ -146,19 +147,19 @@ def two_rooms():
 
 def test_an_opening_fits_between_its_neighbours():
     plan = two_rooms()
-    widen_openings(plan, 0, "cave", 0.0)
+    widen_openings(plan, 0.0)
     assert [door.width for door in plan.doors] == [0.9, 0.9]
-    widen_openings(plan, 0, "cave", 0.5)
+    widen_openings(plan, 0.5)
     assert sorted(door.width > 1.6 for door in plan.doors) == [False, True]
-    widen_openings(plan, 0, "cave", 1.0)
+    widen_openings(plan, 1.0)
     low, high = sorted(plan.doors, key=lambda door: door.middle)
     assert low.width >= 1.6
     assert high.width >= 1.6
     assert high.middle - high.width / 2 - low.middle - low.width / 2 > 0.2
     assert len(doorways(plan.render(0.1))) == 2
-    narrow = FloorPlan(4.0, 2.0)
+    narrow = FloorPlan("rooms", 0, 4.0, 2.0)
     narrow.door(narrow.room((0.0, 0.0, 2.0, 2.0)), narrow.room((2.0, 0.0, 4.0, 2.0)), 0.9)
-    widen_openings(narrow, 0, "cave", 1.0)
+    widen_openings(narrow, 1.0)
     assert narrow.doors[0].width == 0.9
 
 
@@ -371,8 +372,8 @@ def test_every_permitted_parameter_makes_a_sound_world(kind):
 # Bad input
 
 
-WRONG = [{"width_m": value} for value in (math.nan, -5.0, 1.0, math.inf, "wide", 5000.0)]
-WRONG += [{"cell_m": 0.0}, {"cell_m": 0.5}, {"cell_m": 0.001}, {"seed": -1}, {"seed": 1.5}]
+WRONG = [("width_m", value) for value in ("nan", -5.0, 1.0, "inf", "wide", 5000.0)]
+WRONG += [("cell_m", 0.0), ("cell_m", 0.5), ("cell_m", 0.001), ("seed", -1), ("seed", 1.5)]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -380,10 +381,12 @@ def test_wrong_numbers_are_refused_in_one_line(kind):
     beyond = [
         (key, value) for key, (low, high) in PARAMETERS[kind].items() for value in (low - 0.1, high + 0.1, "much")
     ]
-    for wrong in [*WRONG, *({key: value} for key, value in beyond)]:
-        refused(kind if "seed" not in wrong else "seed", KINDS[kind], **({"seed": 0} | wrong))
+    for key, value in [*WRONG, *beyond]:
+        tail = {"seed": f"#{value}", "cell_m": ""}.get(key, f":{key}={value}")
+        too_many = value in (0.001, 5000.0)
+        refused("cells are more than" if too_many else key, load_world, kind + tail, value if key == "cell_m" else 0.1)
 
 
 def test_cells_too_large_for_furniture_or_corridors_are_refused():
-    refused(r"office: furniture needs a cell_m of at most 0\.2, got 0\.25", office, 0, cell_m=0.25, furniture=0.1)
-    refused(r"corridor_m = 0\.8 leaves [012] cells of 0\.3 m", maze, 0, cell_m=0.3, corridor_m=0.8)
+    refused(r"furniture needs a cell_m of at most 0\.2, got 0\.25", load_world, "office:furniture=0.1", 0.25)
+    refused(r"corridor_m = 0\.8 leaves [012] cells of 0\.3 m", load_world, "maze:corridor_m=0.8", 0.3)

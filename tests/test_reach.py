@@ -1,7 +1,5 @@
 """The reachability map: pencil cases, Dijkstra, laws, saturation, bad input."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,14 +22,15 @@ from jexplore.reach import (
     flood,
     nearest_source,
     reach,
-    reach_packed,
     saturated,
+    spread,
 )
 
 pytestmark = pytest.mark.jit
 
 S, D = STRAIGHT, DIAGONAL
 SHAPES = ((1, 1), (1, 8), (7, 1), (7, 9))
+nearest = jax.jit(nearest_source, static_argnames="n")
 LAY, SATURATED = jax.jit(lay_route), jax.jit(saturated)
 
 
@@ -90,8 +89,7 @@ def test_the_nearest_source_of_a_long_map():
     free[3904::4, 1:30] = free[3906::4, 2:31] = False
     sources = np.full(free.shape, -1, np.int32)
     sources[3901, 1], sources[3967, 1] = 7, 9
-    words = bits.pack(jnp.asarray(free))
-    found = np.asarray(nearest_source(words, jnp.asarray(sources), 4096))
+    found = np.asarray(nearest(jnp.asarray(free), jnp.asarray(sources), 4096))
     assert set(np.unique(found)) == {-1, 7, 9}
     assert (found[3901, 1], found[3967, 1]) == (7, 9)
     np.testing.assert_array_equal(found >= 0, free)
@@ -174,7 +172,7 @@ def test_rows_of_a_batch_are_independent():
             cost,
             saturated(cost, passable),
             predecessors(cost, passable),
-            reach(passable, row, col, goals),
+            _limited(passable, goals, row, col, FAR),
             bits.unpack(flood(bits.pack(passable), row, col), 7),
         )
 
@@ -204,7 +202,7 @@ def test_costs_saturate_below_far_and_are_counted():
 def _limited(passable, goals, row, col, limit):
     words = bits.pack(passable)
     goals = jnp.pad(goals, ((0, 32 * words.shape[0] - passable.shape[0]), (0, 0)))
-    return reach_packed(words, row, col, goals, limit=limit)[: passable.shape[0]]
+    return spread(words, at=(row, col), goals=goals, limit=limit)[: passable.shape[0]]
 
 
 def limited(passable, goals, row, col, limit):
@@ -298,13 +296,6 @@ def test_a_flood_has_no_limit_of_cost_and_keeps_its_start():
 
 
 # ---------------------------------------------------------------- nearest source
-
-
-@functools.partial(jax.jit, static_argnames=("n",))
-def nearest(passable, sources, n):
-    spare = -passable.shape[0] % bits.WORD
-    padded = jnp.pad(sources, ((0, spare), (0, 0)), constant_values=-1)
-    return nearest_source(bits.pack(passable), padded, n)[: passable.shape[0]]
 
 
 @given(place=places(((1, 8), (7, 9))), seed=st.integers(0, 2**30))

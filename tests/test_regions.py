@@ -94,7 +94,7 @@ def test_start_and_rooms_stay_where_floor_does():
 @pytest.mark.parametrize(
     ("tail", "line"),
     [
-        (":inside=1", "inside must be true or false, got 1"),
+        (":inside=1", "give inside=true, or both"),
         (":inside=false,outside=true", "it takes free, inside, inside_x_m, inside_y_m .did you mean 'inside'"),
         (":inside_x_m=3", "give inside=true, or both inside_x_m and inside_y_m"),
         (":inside=true,inside_x_m=3,inside_y_m=3", "give inside=true, or both"),

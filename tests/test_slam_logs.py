@@ -23,8 +23,8 @@ from jexplore.slam2d.mapping import Mapper, Sizes, begin, put
 from jexplore.slam2d.matching import Outcome
 from jexplore.slam2d.settings import SlamSettings
 from jexplore.studies.slam import errors, logs
+from jexplore.worlds.readers.bags import is_bag, read_laser_bag
 from jexplore.worlds.readers.carmen import read_carmen
-from jexplore.worlds.readers.laser_bags import is_bag, read_laser_bag
 from jexplore.worlds.readers.ros import read_ros
 from jexplore.worlds.readers.scans import ScanLog
 

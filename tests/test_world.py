@@ -113,7 +113,9 @@ def test_ring_of_the_smallest_worlds():
 def test_ring_refuses_to_exceed_the_limit():
     at_limit = World(occupied=np.zeros((1, MAX_SIDE - 2), bool))
     assert with_ring(at_limit).shape == (3, MAX_SIDE)
-    refused("4097 cells are more than 4096", with_ring, World(occupied=np.zeros((1, MAX_SIDE - 1), bool), name="long"))
+    refused(
+        "4097 cells are more than 4096", require_world, World(occupied=np.zeros((1, MAX_SIDE - 1), bool), name="long")
+    )
 
 
 # --- occupancy arrays
@@ -232,7 +234,7 @@ def test_a_start_depends_on_seed_and_number_alone():
         ("cave", "cave#0", "cave#1"),
         ("cave:width_m=9", "cave#0:width_m=9", "cave:width_m=8"),
         ("a.png@0.05", "/some/where/a.png@0.05", "a.png@0.1"),
-        ("maps/plan.json", "C:\\maps\\plan.json", "maps/plans.json"),
+        ("maps/plan.yaml", "C:\\maps\\plan.yaml", "maps/plans.yaml"),
     ],
 )
 def test_one_world_has_one_name_as_far_as_starts_go(name, same, other):

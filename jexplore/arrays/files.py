@@ -6,6 +6,7 @@ Plain Python: importing this loads neither numpy nor jax.
 
 import contextlib
 import gzip
+import io
 import json
 import os
 import zlib
@@ -77,7 +78,7 @@ def read_text(path: str | os.PathLike[str], max_bytes: int) -> str:
     """Read a text file in UTF-8, as `read_bytes`; one whose name ends in `.gz` is unpacked."""
     content = read_bytes(path, max_bytes)
     if os.fspath(path).lower().endswith(".gz"):
-        content = _unpacked(os.fspath(path), max_bytes)
+        content = _unpacked(content, repr(os.fspath(path)), max_bytes)
     if told_kind(content):
         raise InputError(f"{os.fspath(path)!r}: is not the text that its name says, but {told_kind(content)}")
     try:
@@ -86,17 +87,14 @@ def read_text(path: str | os.PathLike[str], max_bytes: int) -> str:
         raise InputError(f"{os.fspath(path)!r}: is not UTF-8 text (byte {error.start})") from None
 
 
-def _unpacked(path, max_bytes):
-    """Read a file packed by gzip."""
+def _unpacked(content, told, max_bytes):
+    """Unpack the content of a file packed by gzip."""
     try:
-        with opened(path) as file, gzip.open(file) as packed:
-            content = packed.read(max_bytes + 1)
-    except InputError as error:  # of gzip, an OSError, among others
-        raise InputError(str(error).replace("cannot be opened", "cannot be unpacked")) from None
-    except (EOFError, zlib.error) as error:
-        raise InputError(f"{path!r}: cannot be unpacked ({first_line(error)})") from None
+        content = gzip.GzipFile(fileobj=io.BytesIO(content)).read(max_bytes + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        raise InputError(f"{told}: cannot be unpacked ({first_line(error)})") from None
     if len(content) > max_bytes:
-        raise InputError(f"{path!r}: has more than {max_bytes} bytes once unpacked; at most these are read")
+        raise InputError(f"{told}: has more than {max_bytes} bytes once unpacked; at most these are read")
     return content
 
 

@@ -8,7 +8,7 @@ import dataclasses
 import math
 
 from jexplore.config import NUMBER_BOUNDS, InputError, checked_names, require_kind, require_number, require_whole
-from jexplore.rules import Odometry, Settings
+from jexplore.rules import Odometry, Settings, limit
 
 
 @checked_names
@@ -16,25 +16,27 @@ from jexplore.rules import Odometry, Settings
 class Robot(Settings):
     """Dimensions and limits of a robot."""
 
+    HOLDS_ARRAYS = True
+
     name: str
-    length_m: float
-    width_m: float
-    height_m: float
-    max_slope_deg: float
+    length_m: float = limit(low_open=True, high=10)
+    width_m: float = limit(low_open=True, high=10)
+    height_m: float = limit(low_open=True, high=10)
+    max_slope_deg: float = limit(high=60)
     """Steepest ground that it climbs, degrees."""
-    max_step_m: float
+    max_step_m: float = limit(high=1)
     """Highest step that it climbs, metres."""
-    max_speed_m_s: float
-    max_turn_rad_s: float
-    scanner_height_m: float
+    max_speed_m_s: float = limit(low_open=True, high=10)
+    max_turn_rad_s: float = limit(low_open=True, high=10)
+    scanner_height_m: float = limit(low_open=True, high=10)
     """Height of the downward scanner above the ground, metres."""
-    scanner_x_m: float
+    scanner_x_m: float = limit(low=-5, high=5)
     """Distance of the downward scanner before the robot's middle, metres."""
-    scanner_angle_deg: float
+    scanner_angle_deg: float = limit(low=10, high=75)
     """Mount of the downward scanner: angle from the vertical, degrees."""
-    scan_height_m: float
+    scan_height_m: float = limit(low=0.2, high=10)
     """Height of the scanner that looks ahead above the ground, metres."""
-    scan_pitch_deg: float = 0.0
+    scan_pitch_deg: float = limit(0.0, low=-20, high=20)
     """Mount of the scanner that looks ahead: downward pitch, degrees."""
 
 
@@ -50,17 +52,18 @@ ROBOTS = {
 class Noise(Odometry):
     """Errors of the sensors; those of the encoders are `jx.Odometry`."""
 
-    range_m: float = 0.0
+    range_m: float = limit(0.0, high=1)
     """The ranges of both scanners have this standard deviation, in metres."""
-    invalid: float = 0.0
+    invalid: float = limit(0.0, high=1)
     """A beam gives no number (NaN) with this probability."""
-    attitude_deg: float = 0.1
+    attitude_deg: float = limit(0.1, high=10)
     """The attitude sensor has this standard deviation, in degrees."""
-    beacon_m: float = 0.05
+    beacon_m: float = limit(0.05, high=1)
     """The distance of the goal's beacon has this standard deviation, in metres."""
 
-    def __post_init__(self) -> None:
-        self._require("noise", {"range_m": 1, "beacon_m": 1, "invalid": 1, "attitude_deg": 10})
+
+WHOLE = {"votes": 9, "helps": 100}
+"""Thresholds that are whole numbers -> their largest value."""
 
 
 @checked_names
@@ -68,44 +71,46 @@ class Noise(Odometry):
 class Tuning(Settings):
     """Thresholds of perception and behaviour. Letters in brackets are those of Mano et al."""
 
-    width_m: float = 0.39
+    HOLDS_ARRAYS = True
+
+    width_m: float = limit(0.39, low_open=True, high=1000)
     """A gap narrower than this reference width [W], in metres, is no opening, and no side of a triangle. The default is
     that of the narrowest robot, so that every robot makes the same map."""
-    far_m: float = 0.0
+    far_m: float = limit(0.0, high=1000)
     """Points farther away than this [D2], in metres, are left out of the triangles; less where the beams are too far
     apart on the walls. 0: 4 on courses, 8 in other worlds."""
-    ahead_m: float = 1.0
+    ahead_m: float = limit(1.0, low_open=True, high=1000)
     """The target point and the middle of the region that is watched lie this far ahead [L], in metres."""
-    region_m: float = 2.4
+    region_m: float = limit(2.4, low_open=True, high=1000)
     """The region that is watched for walls (the gray one) is this long, in metres: more than the widest side
     passage."""
-    open_m: float = 0.0
+    open_m: float = limit(0.0, high=1000)
     """A side without a wall within this [C1], in metres, is free space. 0: 2.5 on courses, whose hall is free space, 5
     in other worlds, whose rooms are places where ways part."""
-    dead_end_m: float = 0.39
+    dead_end_m: float = limit(0.39, low_open=True, high=1000)
     """The way ahead is closed if both walls together are no farther than this [C2], in metres."""
-    arrive_m: float = 0.3
+    arrive_m: float = limit(0.3, low_open=True, high=1000)
     """A target is reached within this [C3], in metres."""
-    leave_m: float = 0.5
+    leave_m: float = limit(0.5, high=1000)
     """A branch is taken this far beyond the radius of its triangle's circle [C4 less that radius], in metres."""
-    circle: float = 1.5
+    circle: float = limit(1.5, low=1, low_open=True, high=3)
     """The search circle for links has this radius, in radii of the triangle's circle [k]."""
-    obtuse_tol_deg: float = 10.0
+    obtuse_tol_deg: float = limit(10.0, high=90, high_open=True)
     """A triangle is kept if no angle is more than this above 90 degrees; the paper's letter is 0."""
-    votes: int = 5
+    votes: int = limit(5, require_whole, low=1, high=WHOLE["votes"])
     """This many of the last nine scans, 1 to 9, must show a triangle before it is believed; 1 means no voting."""
-    same_m: float = 0.4
+    same_m: float = limit(0.4, low_open=True, high=1000)
     """Two circle centres nearer than this, in metres, are one."""
-    tread_wave_m2: float = 2e-5
+    tread_wave_m2: float = limit(2e-5, high=1000)
     """An obstacle is stairs if its height profile goes up and down about its slope with every tread by a variance above
     this [Vmax], in square metres."""
-    inclination_deg: float = 5.0
+    inclination_deg: float = limit(5.0, low=1, high=45)
     """A change of the ground's inclination by more than this, in degrees, is an obstacle."""
-    speed_m_s: float = 0.4
+    speed_m_s: float = limit(0.4, low_open=True, high=1000)
     """The robot approaches a target at this speed [Vc], in metres a second."""
-    helps: int = 3
+    helps: int = limit(3, require_whole, low=1, high=WHOLE["helps"])
     """The run ends as STUCK after this many times of operator help since the last node."""
-    turn_gain: float = 1.5
+    turn_gain: float = limit(1.5, low_open=True, high=1000)
     """The robot turns at this rate for each radian of bearing of the target point [kw], in 1/s."""
 
 
@@ -115,10 +120,6 @@ BY_WORLD = {"open_m": (2.5, 5.0), "far_m": (4.0, 8.0)}
 """Thresholds whose 0 stands for another number -> that on courses, and in other worlds."""
 LEVEL_SIGHT_M = 4.0
 """The scanner that looks ahead must see level ground no nearer than this, metres."""
-FROM_ZERO = "obtuse_tol_deg", "leave_m", "tread_wave_m2"
-"""Thresholds that may be 0."""
-WHOLE = {"votes": 9, "helps": 100}
-"""Thresholds that are whole numbers -> their largest value."""
 
 
 def for_world(tuning: Tuning, *, is_course: bool) -> Tuning:
@@ -135,43 +136,26 @@ def for_world(tuning: Tuning, *, is_course: bool) -> Tuning:
 
 
 def require_tuning(tuning: Tuning) -> None:
-    """Refuse thresholds that are out of range or contradict each other.
+    """Refuse thresholds that contradict each other.
 
     Raises:
       InputError: no `Tuning`, or naming the threshold and its value.
     """
     require_kind("tuning", tuning, Tuning)
-    for field in dataclasses.fields(tuning):
-        value = getattr(tuning, field.name)
-        if field.type is int:
-            require_whole(f"tuning.{field.name}", value, low=1, high=WHOLE[field.name])
-        else:
-            above = field.name not in FROM_ZERO
-            require_number(f"tuning.{field.name}", value, low_open=above, high=1000)
+    for name in BY_WORLD:
+        require_number(f"tuning.{name}", getattr(tuning, name), low_open=True)
     for low, high in (("width_m", "open_m"), ("arrive_m", "open_m")):
         if getattr(tuning, low) >= getattr(tuning, high):
             got = f"{getattr(tuning, low):g} and {getattr(tuning, high):g}"
             raise InputError(f"tuning.{low} must be less than tuning.{high}, got {got}")
-    require_number("tuning.circle", tuning.circle, low=1, low_open=True, high=3)
-    require_number("tuning.obtuse_tol_deg", tuning.obtuse_tol_deg, high=90, high_open=True)
-    require_number("tuning.inclination_deg", tuning.inclination_deg, low=1, high=45)
 
 
 def require_robot(robot: Robot) -> None:
-    """Refuse a robot that cannot be.
+    """Refuse a robot whose scanner looks into the floor.
 
     Raises:
       InputError: naming the number.
     """
-    heights = "height_m", "scanner_height_m"
-    for name in ("length_m", "width_m", "max_speed_m_s", "max_turn_rad_s", *heights):
-        require_number(f"robot.{name}", getattr(robot, name), low_open=True, high=10)
-    require_number("robot.max_slope_deg", robot.max_slope_deg, high=60)
-    require_number("robot.max_step_m", robot.max_step_m, high=1)
-    require_number("robot.scanner_x_m", robot.scanner_x_m, low=-5, high=5)
-    require_number("robot.scanner_angle_deg", robot.scanner_angle_deg, low=10, high=75)
-    require_number("robot.scan_height_m", robot.scan_height_m, low=0.2, high=10)
-    require_number("robot.scan_pitch_deg", robot.scan_pitch_deg, low=-20, high=20)
     down = math.tan(math.radians(robot.scan_pitch_deg))
     if down > 0 and (floor_m := robot.scan_height_m / down) < LEVEL_SIGHT_M:
         raise InputError(

@@ -6,14 +6,13 @@ junction of that graph, whose branches are passages or run into corners. Runs on
 
 import itertools
 import math
-from collections.abc import Container, Mapping
+from collections.abc import Container
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jexplore.arrays.padding import framed, within
-from jexplore.config import InputError, require_number
 from jexplore.extraction.lines import Lines, connected_cells, lines_of, take_corners
 from jexplore.extraction.passages import SEARCH, PlaceDraft, places_and_passages
 from jexplore.grid import centre_of, in_cells
@@ -58,49 +57,25 @@ def extract(
     Source:
       Mano et al., Behavioral Trace Map. Changed: from the Voronoi graph of a whole map instead of single scans.
     """
-    free, obstacle, ends = _checked(free, known, cell_m, start_rc, width_m, open_m, clutter_m)
-    lines = lines_of(obstacle, free, width=in_cells(width_m, cell_m))
-    corners = take_corners(lines)
-    cells = attached(lines, corners, ends, free)
-    if "start" in ends and "start" not in cells:
-        start = PlaceDraft(*ends["start"], "terminal", 0.0)
-        return _numbered({0: start}, [], 0, lines, cell_m, origin_m)
-    parts = connected_cells(lines.near, [i for i in cells.values() or range(len(lines.row)) if _counts(lines, i)])
-    alive = max(parts, key=len, default=set()) if not cells else parts[0]
-    terminals = {
-        cell: PlaceDraft(*ends[which], "terminal", float(lines.radius[cell]))
-        for which, cell in cells.items()
-        if cell in alive
-    }
-    places, ways = places_and_passages(lines, corners, alive, terminals, open_cells=in_cells(open_m, cell_m))
-    first = cells.get("start", min(places, key=lambda key: places[key][:2], default=None))
-    return _numbered(places, ways, first, lines, cell_m, origin_m)
-
-
-def _checked(free, known, cell_m, start_rc, width_m, open_m, clutter_m):
-    """Check the input: `(free, obstacle, ends)`, small unseen patches and clutter free, and name -> terminal cell."""
-    free, known = np.asarray(free), np.asarray(known)
-    if free.ndim != 2 or free.shape != known.shape or free.dtype != bool or known.dtype != bool:
-        raise InputError(
-            "free and known must be bool matrices of one shape, "
-            f"got {free.shape} {free.dtype} and {known.shape} {known.dtype}"
-        )
-    require_number("cell_m", cell_m, low_open=True)
-    require_number("width_m", width_m)
-    require_number("open_m", open_m, low_open=True)
-    require_number("clutter_m", clutter_m, high=1000)
-    if not free.any():
-        raise InputError("free: no cell of the map is free")
-    ends = {} if start_rc is None else {"start": (int(start_rc[0]), int(start_rc[1]))}
-    for name, (row, col) in ends.items():
-        if not (0 <= row < free.shape[0] and 0 <= col < free.shape[1]) or not free[row, col]:
-            raise InputError(f"{name}: cell ({row}, {col}) is not a free cell of the map")
-    open_, _ = open_cells(known & ~free, known, in_cells(width_m, cell_m))
+    open_ = open_cells(known & ~free, known, in_cells(width_m, cell_m))[0]
     padded = framed(open_)
     mask, overflow = _looked_through(jnp.asarray(padded), jnp.float32(in_cells(clutter_m, cell_m)), edges=padded.size)
     assert not overflow
     open_ |= within(np.asarray(mask), free.shape, 1)
-    return open_, known & ~free & ~open_, ends
+    lines = lines_of(known & ~free & ~open_, open_, width=in_cells(width_m, cell_m))
+    corners = take_corners(lines)
+    if start_rc is None:
+        parts = connected_cells(lines.near, [i for i in range(len(lines.row)) if _counts(lines, i)])
+        start, alive, terminals = None, max(parts, key=len, default=set()), {}
+    else:
+        start = attached(lines, corners, start_rc, open_)
+        if start is None:
+            return _numbered({0: PlaceDraft(*start_rc, "terminal", 0.0)}, [], 0, lines, cell_m, origin_m)
+        alive = connected_cells(lines.near, [start])[0]
+        terminals = {start: PlaceDraft(*start_rc, "terminal", float(lines.radius[start]))}
+    places, ways = places_and_passages(lines, corners, alive, terminals, open_cells=in_cells(open_m, cell_m))
+    first = min(places, key=lambda key: places[key][:2], default=None) if start is None else start
+    return _numbered(places, ways, first, lines, cell_m, origin_m)
 
 
 def open_cells(occupied: np.ndarray, known: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
@@ -114,23 +89,18 @@ def _counts(lines, cell):
     return bool(lines.known[cell] and lines.near[cell])
 
 
-def attached(
-    lines: Lines, corners: Container[int], ends: Mapping[str, tuple[int, int]], free: np.ndarray
-) -> dict[str, int]:
-    """Return the cell of the graph that each place of `ends`, row and col by name, belongs to.
+def attached(lines: Lines, corners: Container[int], place: tuple[int, int], free: np.ndarray) -> int | None:
+    """Return the cell of the graph that a place, row and column, belongs to; None if it is on no part of the graph.
 
-    That is the nearest in sight, no junction if that can be; places are left out that are on no part of the graph.
+    That is the nearest in sight, no junction if that can be.
     """
-    found, parts = {}, label_components(free)
-    for name, (row, col) in ends.items():
-        same = parts[lines.row, lines.col] == parts[row, col]
-        cells = [i for i in np.flatnonzero(same).tolist() if _counts(lines, i) and i not in found.values()]
-        cells = [i for i in cells if len(lines.near[i]) == 2 and i not in corners] or cells
-        cells.sort(key=lambda i: math.hypot(lines.row[i] - row, lines.col[i] - col))
-        seen = (i for i in cells if _in_sight(free, row, col, lines.row[i], lines.col[i]))
-        if cells:
-            found[name] = next(seen, cells[0])
-    return found
+    (row, col), parts = place, label_components(free)
+    same = parts[lines.row, lines.col] == parts[row, col]
+    cells = [i for i in np.flatnonzero(same).tolist() if _counts(lines, i)]
+    cells = [i for i in cells if len(lines.near[i]) == 2 and i not in corners] or cells
+    cells.sort(key=lambda i: math.hypot(lines.row[i] - row, lines.col[i] - col))
+    seen = (i for i in cells if _in_sight(free, row, col, lines.row[i], lines.col[i]))
+    return next(seen, cells[0] if cells else None)
 
 
 def _in_sight(free, row, col, to_row, to_col):

@@ -22,7 +22,7 @@ from jexplore.gain import Known
 from jexplore.grid import Grid, count, is_free, is_known, is_occupied, lowest
 from jexplore.native import kernels
 from jexplore.planning.readout import lay_route
-from jexplore.reach import DIAGONAL, FAR, MOTIONS, STRAIGHT, reach_packed, saturated
+from jexplore.reach import DIAGONAL, FAR, MOTIONS, STRAIGHT, saturated, spread
 
 # Longest side of a map, at least -> sides of the windows that are searched first, cells. In the largest they must hold
 # what a scanner sees of a long corridor, at whose end the next frontier lies.
@@ -193,7 +193,8 @@ def field(belief: Belief, *, nearest_only: bool = False) -> Field:
     masks = masks_of(belief)
     traversable, frontier = bits.unpack(masks.traversable), bits.unpack(masks.frontier)
     frontier = large_groups(frontier, belief.model.least)
-    cost = reach_packed(masks.traversable, belief.row, belief.col, frontier if nearest_only else None)
+    goals = frontier if nearest_only else None
+    cost = spread(masks.traversable, at=(belief.row, belief.col), goals=goals)
     return Field(traversable[:height], cost[:height], (frontier & (cost < FAR))[:height])
 
 
@@ -291,7 +292,7 @@ def nearest_in_window(belief: Belief, route: Array, side: int) -> tuple[Array, C
     central = stored(row >= 0, lambda: bits.pack((rows <= radius) & (cols <= radius)))
     words, frontier = masks.traversable & central, bits.unpack(masks.frontier & central)
     limit = jnp.where(count((masks.frontier & central) != 0) > 0, bound, -1)  # nothing to look for: not at all
-    cost = reach_packed(words, row, col, frontier, limit=limit)
+    cost = spread(words, at=(row, col), goals=frontier, limit=limit)
     best = lowest(jnp.where(frontier, cost, FAR))
     decided = best <= bound
     at_row, at_col = first_at(frontier & (cost == best))

@@ -18,7 +18,7 @@ from jexplore.native import kernels
 from jexplore.native.kernels import EVERY
 from jexplore.planning import Belief, Choice, Field, cells_of, choose, field, known_of, metres
 from jexplore.raycast import Beams
-from jexplore.reach import FAR, STEPS, spread
+from jexplore.reach import FAR, spread
 
 CLUSTERS = 128  # most clusters that are told apart
 COARSEST = 4  # cells a side, of the blocks that paths between clusters are measured in
@@ -158,7 +158,7 @@ def costs_between(passable: Array, row: Array, col: Array, n: Array | int) -> Ar
     def measure(state):
         i, table = state
         here = jnp.minimum(i, m - 1)
-        cost = spread(words, blank.at[row[here], col[here]].set(0), (0, 0), None, jnp.int32(FAR), STEPS)
+        cost = spread(words, blank.at[row[here], col[here]].set(0))
         return i + (i < n), table.at[jnp.where(i < n, i, m)].set(cost[row, col], mode="drop")
 
     return repeat(lambda state: state[0] < n, measure, (jnp.int32(0), jnp.full((m, m), FAR, jnp.int32)))[1]

@@ -3,7 +3,6 @@
 All take a map without clutter, `inside` and `clearance` as `watershed.cleared` tells them.
 """
 
-import functools
 import itertools
 from collections.abc import Callable
 from typing import NamedTuple
@@ -14,7 +13,6 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from jexplore.arrays import bits
 from jexplore.reach import nearest_source
 from jexplore.rooms.scores import label_components
 from jexplore.rooms.watershed import SMALLEST_ROOM_M2
@@ -25,13 +23,7 @@ DISTANCE_STEP_M = 0.025  # from one level of clearance to the next
 MORPHOLOGICAL_M2 = (0.8, 47.0)  # of a seed
 RIPPLE_SHARE = 0.4  # share of the perimeter: a zone that shares more with a wider one is a ripple of that
 LIKENESS = 0.5  # zones are alike if the width of one is at least this share of that of the other
-
-
-@functools.partial(jax.jit, static_argnames=("n",))
-def _nearest(inside, seeds, *, n):
-    height = inside.shape[0]
-    padded = jnp.pad(seeds, ((0, -height % bits.WORD), (0, 0)), constant_values=-1)
-    return nearest_source(bits.pack(inside), padded, n)[:height]
+_nearest = jax.jit(nearest_source, static_argnames="n")
 
 
 def grown(seeds: np.ndarray, inside: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ import functools
 import math
 from typing import NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -91,8 +92,8 @@ def clutter(free: Array, size: Array | float, *, edges: int) -> tuple[Array, Arr
     """
     height, width = free.shape
     edge = ~free & any_within_one(free)
-    cells = groups.grouped(edge, edges)
-    group = cells.lowest  # all round an obstacle, or all round a hole in one
+    cells = groups.list_cells(edge, edges)
+    group = groups.lowest_of_group(cells)  # all round an obstacle, or all round a hole in one
     row, col = cells.cell // width, cells.cell % width
     used = cells.cell < height * width
     bottom, top, left, right = (
@@ -289,17 +290,13 @@ def watershed(free: Array, unknown: Array, criteria: RoomCriteria, *, form: Room
       unknown: `[H, W]` bool, cells that are neither free nor obstacles: no walls, and no way through.
       form: static.
 
-    Raises:
-      ValueError: while tracing, if `free` and `unknown` are not bool matrices of one shape.
-
     Source:
       Thrun 1998 and Holz et al. 2010, section 2.4, cut free space at the minima of clearance along the Voronoi graph;
       Vincent and Soille 1991, watersheds. A pass is judged relative to the peaks, so that no length is tuned.
     """
-    if free.ndim != 2 or free.dtype != bool or unknown.dtype != bool or unknown.shape != free.shape:
-        raise ValueError(
-            f"expected free, unknown: [H, W] bool, got {free.shape} {free.dtype}, {unknown.shape} {unknown.dtype}"
-        )
+    chex.assert_rank([free, unknown], 2)
+    chex.assert_type([free, unknown], bool)
+    chex.assert_equal_shape([free, unknown])
     n, cells = form.basins, free.size
     inside, d2, lost_edges = cleared(free, unknown, criteria.clutter, edges=form.edges)
     peak = peaks(d2, inside)

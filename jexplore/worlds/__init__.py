@@ -4,7 +4,6 @@ Importing this loads neither jax nor an image library; `load_world` imports what
 """
 
 import dataclasses
-import functools
 import importlib
 import inspect
 import math
@@ -16,10 +15,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from jexplore.arrays.pictures import Listing
-from jexplore.config import InputError, checked_names, require_number, require_setting, require_whole
+from jexplore.config import InputError, checked_names, require_number, require_setting
 from jexplore.users import import_object
 from jexplore.worlds import names
-from jexplore.worlds.bounds import PARAMETERS, require_side
+from jexplore.worlds.bounds import PARAMETERS, require_generator, require_side
 
 if TYPE_CHECKING:
     from jexplore.worlds.world import World
@@ -28,35 +27,6 @@ GENERATORS = {name: f"jexplore.worlds.generators.{name}:{name}" for name in PARA
 """World name -> "module:function". The function takes a seed and keyword parameters, `cell_m` among them."""
 _OWN: dict[str, Callable[..., Any]] = {}  # name -> function of a user's, see `register_world`
 _NAME = re.compile(r"[A-Za-z_][\w-]*")
-_GRID: dict[str, Callable[[str, Any], object]] = {
-    "free_max": functools.partial(require_whole, low=0, high=99),
-    "occupied_min": functools.partial(require_whole, low=1, high=100),
-}
-_FAR = functools.partial(require_number, low_open=True, high=1000)
-_READERS: dict[str, tuple[str, dict[str, Callable[[str, Any], object]]]] = {
-    "image": ("images:load_image", {"free": functools.partial(require_number, high=255)}),
-    "HouseExpo": ("houseexpo:load_houseexpo", {}),
-    "CARMEN": (
-        "carmen:load_carmen",
-        {
-            "p_free": functools.partial(require_number, high=1, high_open=True),
-            "range_m": _FAR,
-            "no_echo_m": functools.partial(require_number, high=1000),
-            "max_range_m": _FAR,
-        },
-    ),
-    "ROS": ("ros:load_ros", _GRID),
-    "ROS bag": ("bags:load_bag", {"topic": lambda *_: None, **_GRID}),
-}
-"""Kind of file -> its reader, the parameters that it takes in a world name, and the function that checks a value."""
-_FILES = {
-    "map.yaml": "a ROS map",
-    "map.png@16x16, map.png@0.05": "a picture, with its sides in metres or its metres a pixel",
-    "plan.json": "a HouseExpo plan",
-    "scans.log": "a CARMEN log",
-    "run.bag, run.mcap": "a ROS bag",
-}
-"""Name of a file -> its content that is read."""
 
 
 def worlds() -> Listing:
@@ -67,7 +37,8 @@ def worlds() -> Listing:
     }
     what = {name: (inspect.getdoc(_function(name)) or "").partition("\n")[0] for name in told}
     rows = [(f"{name}, {name}#3", what[name], told[name]) for name in told]
-    return Listing(("world", "what it is", "parameters"), (*rows, *((name, kind, "") for name, kind in _FILES.items())))
+    rows += [(kind.example, kind.content, "") for kind in names.FILES.values()]
+    return Listing(("world", "what it is", "parameters"), tuple(rows))
 
 
 class _Package(types.ModuleType):
@@ -113,8 +84,7 @@ def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
     """Load the world of a name: a generated one, or one read from a map file.
 
     `cave`, `cave#3`, `hospital#2:width_m=60,height_m=25`, `map.yaml`, `map.png@16x16`, `map.png@0.05:free=150`,
-    `plan.json`, `scans.log`, `run.bag:topic=/map`: `names.parse_name` has the grammar, the readers say
-    what a file means.
+    `scans.log`, `run.bag:topic=/map`: `names.parse_name` has the grammar, the readers say what a file means.
 
     Args:
       name: world name or path.
@@ -131,67 +101,62 @@ def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
     except TypeError:
         raise InputError(f"world must be a name or a path, got {name!r}") from None
     require_setting("cell_m", cell_m)
-    parsed, chosen = read_name(name)
-    if parsed.kind != "generator":
-        world = _read(parsed, cell_m)
-    elif parsed.base in GENERATORS:
-        world = _function(parsed.base)(parsed.seed, cell_m=cell_m, **parsed.parameters)
-    else:
-        from jexplore.worlds.own import make_world
-
-        world = make_world(_function(parsed.base), parsed.seed, cell_m, parsed.parameters)
+    parsed = names.parse_name(name, generators=known_generators())
+    world = _generate(parsed, cell_m) if parsed.kind == "generator" else _read(parsed, cell_m)
+    world = dataclasses.replace(world, name=name)
 
     from jexplore.worlds.world import ringed_shape
 
-    world = dataclasses.replace(world, name=name)
     require_side(name, *ringed_shape(world.occupied), cell_m)
-    if chosen is not None:
-        from jexplore.worlds.regions import inside
-
-        world = inside(world, *chosen)
     if world.occupied.all():
         raise InputError(f"{name!r}: no cell is free at cell_m = {cell_m:g}; a smaller cell_m leaves more")
     return world
 
 
-def read_name(name: str) -> tuple[names.WorldName, tuple[Any, ...] | None]:
-    """Take a world's name apart, and refuse a parameter that its generator or reader does not take or cannot use.
+def _generate(parsed: names.WorldName, cell_m: float) -> "World":
+    defaults, make = generator_parameters(parsed.base), _function(parsed.base)
+    names.require_parameters(parsed, defaults)
+    given = {key: _as_default(parsed, key, value, defaults[key]) for key, value in parsed.parameters.items()}
+    if parsed.base in GENERATORS:
+        require_generator(parsed.base, {**defaults, **given, "cell_m": cell_m})
+        return make(parsed.seed, cell_m=cell_m, **given)
+    from jexplore.worlds.own import make_world
 
-    Returns the parsed name, its parameters of the kinds that they need, and what comes after the world in the arguments
-    of `regions.inside`; None where no region is chosen.
-    """
-    parsed = names.parse_name(name, generators=known_generators())
-    if parsed.kind == "generator":
-        defaults = generator_parameters(parsed.base)
-        names.require_parameters(parsed, defaults)
-        given = {key: _as_default(parsed, key, value, defaults[key]) for key, value in parsed.parameters.items()}
-        return dataclasses.replace(parsed, parameters=given), None
-    parsed, chosen = _take_inside(parsed)
-    _, checks = _READERS[parsed.kind]
-    names.require_parameters(parsed, checks)
-    for key, value in parsed.parameters.items():
-        checks[key](f"{parsed.name!r}: {key}", value)
+    return make_world(make, parsed.seed, cell_m, given)
+
+
+def _read(parsed: names.WorldName, cell_m: float) -> "World":
+    """Read a map file by the function of its kind, whose keyword parameters are those of the name."""
+    module, _, function = names.FILES[parsed.kind].reader.partition(":")
+    load = getattr(importlib.import_module(f"jexplore.worlds.readers.{module}"), function)
+    own = [one.name for one in inspect.signature(load).parameters.values() if one.kind is one.KEYWORD_ONLY]
+    names.require_parameters(parsed, [*own[1:], *names.INSIDE])  # the first is `cell_m`
+    region = _region(parsed)
     if parsed.kind == "image" and parsed.scale is None:
         scale = "append @16x16 for its size in metres or @0.05 for metres a pixel"
         raise InputError(f"{parsed.name!r}: a picture needs a scale; {scale}")
     if parsed.kind != "image" and parsed.scale is not None:
         raise InputError(f"{parsed.name!r}: a {parsed.kind} file has its own scale; leave out what follows the '@'")
-    return parsed, chosen
+    given = {key: value for key, value in parsed.parameters.items() if key not in names.INSIDE}
+    scale = () if parsed.scale is None else (parsed.scale,)
+    world = load(parsed.base, *scale, cell_m=cell_m, **given)
+    if region is None:
+        return world
+    from jexplore.worlds.regions import inside
+
+    return inside(world, *region)
 
 
-def _take_inside(parsed: names.WorldName) -> tuple[names.WorldName, tuple[Any, ...] | None]:
-    """Take the parameters `names.INSIDE` off a file's name: the name, and the arguments of `inside` or None."""
-    rest = {key: value for key, value in parsed.parameters.items() if key not in names.INSIDE}
-    inside, x_m, y_m = (parsed.parameters.get(key) for key in names.INSIDE)
-    if not isinstance(inside, bool | None):
-        raise InputError(f"{parsed.name!r}: inside must be true or false, got {inside!r}")
-    if x_m is None and y_m is None:
-        return dataclasses.replace(parsed, parameters=rest), () if inside else None
-    if inside is not None or x_m is None or y_m is None:
+def _region(parsed: names.WorldName) -> tuple[Any, ...] | None:
+    """Return what comes after the world in the arguments of `regions.inside`; None where no region is chosen."""
+    inside, *point_m = (parsed.parameters.get(key) for key in names.INSIDE)
+    if point_m == [None, None] and isinstance(inside, bool | None):
+        return () if inside else None
+    if inside is not None or None in point_m:
         raise InputError(f"{parsed.name!r}: give inside=true, or both inside_x_m and inside_y_m")
-    for key, value in (("inside_x_m", x_m), ("inside_y_m", y_m)):
+    for key, value in zip(names.INSIDE[1:], point_m):
         require_number(f"{parsed.name!r}: {key}", value, low=-math.inf)
-    return dataclasses.replace(parsed, parameters=rest), ((x_m, y_m),)
+    return (tuple(point_m),)
 
 
 def generator_parameters(base: str) -> dict[str, Any]:
@@ -216,10 +181,3 @@ def _as_default(parsed: names.WorldName, key: str, value: Any, default: Any) -> 
         kinds = {bool: "true or false", int: "an integer", float: "a number", str: "a word"}
         raise InputError(f"{parsed.name!r}: {key} must be {kinds[type(default)]}, got {value!r}")
     return value
-
-
-def _read(parsed: names.WorldName, cell_m: float) -> "World":
-    module, _, function = _READERS[parsed.kind][0].partition(":")
-    load = getattr(importlib.import_module(f"jexplore.worlds.readers.{module}"), function)
-    scale = (parsed.scale,) if parsed.kind == "image" else ()
-    return load(parsed.base, *scale, cell_m=cell_m, **parsed.parameters)

@@ -1,10 +1,8 @@
 """Bounds of worlds' sizes and of generators' parameters. Plain Python: importing this loads neither jax nor numpy."""
 
-import functools
-import inspect
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 from jexplore.config import InputError, require_number, require_whole
 
@@ -27,13 +25,11 @@ PARAMETERS: dict[str, dict[str, Any]] = {
         "width_m": (1.2, 3.0),
         "riser_m": (0.01, 0.3),
         "obstacle": tuple(CREASES),
-        "furniture": bool,
-        "dead_ends": bool,
         "loops": (0, 3),
         "repeat": (0, 10),
     },
 }
-"""Generator -> parameter -> its least and largest value, an integer where these are; its words; or bool."""
+"""Generator -> parameter -> its least and largest value, an integer where these are; or its words."""
 LEAST_M: dict[str, Callable[[Mapping[str, Any]], tuple[float, ...]]] = {
     "office": lambda given: (14.0, 9.0),
     "hospital": lambda given: (32.0, 11.0),
@@ -43,31 +39,12 @@ LEAST_M: dict[str, Callable[[Mapping[str, Any]], tuple[float, ...]]] = {
 }
 """Generator -> the least width and height of its worlds by their parameters, metres."""
 
-_P = ParamSpec("_P")
-_World = TypeVar("_World")
-
-
-def bounded(generate: Callable[_P, _World]) -> Callable[_P, _World]:
-    """Let a generator refuse the parameters that `require_generator` refuses."""
-
-    @functools.wraps(generate)
-    def checked(*args: _P.args, **kwargs: _P.kwargs) -> _World:
-        given = inspect.signature(generate).bind(*args, **kwargs)
-        given.apply_defaults()
-        require_generator(generate.__name__, given.arguments)
-        return generate(*args, **kwargs)
-
-    return checked
-
 
 def require_generator(kind: str, given: Mapping[str, Any]) -> None:
     """Refuse parameters that a generator cannot draw; `given` are all of them, `cell_m` included."""
     for name, bounds in PARAMETERS[kind].items():
         what, value = f"{kind}: {name}", given[name]
-        if bounds is bool:
-            if not isinstance(value, bool):
-                raise InputError(f"{what} must be true or false, got {value!r}")
-        elif isinstance(bounds[0], str):
+        if isinstance(bounds[0], str):
             if value not in bounds:
                 raise InputError(f"{what} must be one of {', '.join(bounds)}, got {value!r}")
         elif isinstance(bounds[0], int):

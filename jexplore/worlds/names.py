@@ -2,7 +2,7 @@
 
     generator[#seed][:key=value,...]        cave   cave#3   hospital#2:width_m=60,height_m=25
     module:function[#seed][:key=value,...]  mine:plan   mine:plan#3:doors=2
-    file[@scale][:key=value,...]            map.yaml   map.png@16x16   map.png@0.05:free=150   plan.json
+    file[@scale][:key=value,...]            map.yaml   map.png@16x16   map.png@0.05:free=150
                                             scans.log   scans.log:range_m=20   run.mcap   run.bag:topic=/map,free_max=49
 
 A name is a file if one of the known suffixes ends it or is followed by `@` or `:`; it is then cut there. A path may
@@ -19,23 +19,38 @@ import math
 import os
 import re
 from collections.abc import Collection, Sequence
+from typing import NamedTuple
 
-from jexplore.config import InputError, require_number
+from jexplore.config import MAX_SEED, InputError, require_number
 
-SUFFIXES: dict[str, tuple[str, ...]] = {
-    "ROS": ("yaml", "yml"),
-    "image": ("png", "pgm", "pbm", "ppm", "jpg", "jpeg", "bmp", "gif", "tif", "tiff"),
-    "HouseExpo": ("json",),
-    "CARMEN": ("log", "clf"),
-    "ROS bag": ("bag", "db3", "mcap"),
+
+class FileKind(NamedTuple):
+    """A kind of map file."""
+
+    suffixes: tuple[str, ...]  # in either case
+    reader: str  # "module:function" in `readers`; its keyword parameters are `cell_m` and those of the name
+    example: str
+    content: str  # the examples' content that is read
+
+
+FILES = {
+    "ROS": FileKind(("yaml", "yml"), "ros:load_ros", "map.yaml", "a ROS map"),
+    "image": FileKind(
+        ("png", "pgm", "pbm", "ppm", "jpg", "jpeg", "bmp", "gif", "tif", "tiff"),
+        "images:load_image",
+        "map.png@16x16, map.png@0.05",
+        "a picture, with its sides in metres or its metres a pixel",
+    ),
+    "CARMEN": FileKind(("log", "clf"), "carmen:load_carmen", "scans.log", "a CARMEN log"),
+    "ROS bag": FileKind(("bag", "db3", "mcap"), "bags:load_bag", "run.bag, run.mcap", "a ROS bag"),
 }
-"""Kind of file -> its suffixes, in either case."""
 
-_KIND_OF = {suffix: kind for kind, suffixes in SUFFIXES.items() for suffix in suffixes}
+_KIND_OF = {suffix: name for name, kind in FILES.items() for suffix in kind.suffixes}
 _CUT = re.compile(r"\.(" + "|".join(sorted(_KIND_OF, key=len, reverse=True)) + r")(?=$|[@:])", re.IGNORECASE)
-_GENERATOR = re.compile(r"(?P<base>[A-Za-z_][\w-]*)(#(?P<seed>[^:]*))?(:(?P<parameters>.*))?", re.DOTALL)
-_FOREIGN = re.compile(r"(?P<base>[A-Za-z_][\w.]*:[A-Za-z_]\w*)(#(?P<seed>[^:]*))?(:(?P<parameters>.*))?", re.DOTALL)
-_SEEDS = 2**32
+_GENERATOR, _FOREIGN = (
+    re.compile(rf"(?P<base>{base})(#(?P<seed>[^:]*))?(:(?P<parameters>.*))?", re.DOTALL)
+    for base in (r"[A-Za-z_][\w-]*", r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+)
 METADATA = "metadata.yaml"
 """The file that makes a folder a recording of ROS 2."""
 INSIDE = ("inside", "inside_x_m", "inside_y_m")
@@ -49,10 +64,9 @@ class WorldName:
     """A world name, taken apart."""
 
     name: str  # the whole, as the user typed it
-    kind: str  # `generator`, or a key of `SUFFIXES`
+    kind: str  # `generator`, or a key of `FILES`
     base: str
-    """Name of the generator, `module:function` of a user's, or path of the file; that of a folder's `metadata.yaml` for
-    a recording of ROS 2."""
+    """Name of the generator, `module:function` of a user's, or path of the file or the recording's folder."""
     seed: int = 0  # seed of a generator
     scale: float | tuple[float, float] | None = None
     """Text after the `@`: metres a pixel, or width and height in metres; None without one."""
@@ -70,9 +84,9 @@ def parse_name(name: str, *, generators: Collection[str]) -> WorldName:
     if foreign is not None:
         match, base = foreign, foreign["base"]
     elif match is None or base not in generators:
-        folder = _recording(name)
-        if folder is not None:
-            return _parse_file(name, folder)
+        cuts = [len(name), *(colon.start() for colon in re.finditer(":", name))]
+        if recordings := [cut for cut in cuts if recording_folder(name[:cut])]:
+            return _parse_file(name, max(recordings))
         if os.path.isdir(name):
             raise InputError(f"{name!r}: is a directory; name a map file in it")
         if match is None or os.path.isfile(name):
@@ -91,9 +105,7 @@ def parse_name(name: str, *, generators: Collection[str]) -> WorldName:
 
 
 def require_parameters(parsed: WorldName, permitted: Collection[str]) -> None:
-    """Refuse a parameter other than the permitted ones, those of `INSIDE` included in the name of a file."""
-    if parsed.kind != "generator":
-        permitted = [*permitted, *INSIDE]
+    """Refuse a parameter other than the permitted ones."""
     for key in parsed.parameters:
         if key == "cell_m":
             raise InputError(f"{parsed.name!r}: cell_m is an option of its own, not a parameter of the world's name")
@@ -143,28 +155,27 @@ def _there_are(word: str, known: Collection[str]) -> str:
     return ", ".join(known) + (f" (did you mean {near[0]!r}?)" if near else "")
 
 
-def _recording(name: str) -> int | None:
-    """Return the end of the longest path to a folder with a recording of ROS 2; None without one."""
-    cuts = [len(name), *(match.start() for match in re.finditer(":", name))]
-    return max((cut for cut in cuts if cut and os.path.isfile(os.path.join(name[:cut], METADATA))), default=None)
+def recording_folder(path: str) -> str | None:
+    """Return the folder of a recording of ROS 2 by its path or that of its `metadata.yaml`; None for another path."""
+    folder = (os.path.dirname(path) or ".") if os.path.basename(path) == METADATA else path
+    return folder if path and os.path.isfile(os.path.join(folder, METADATA)) else None
 
 
 def _parse_file(name: str, cut: int) -> WorldName:
     path, rest = name[:cut], name[cut:]
     scale, colon, parameters = rest.partition(":")
-    is_folder = os.path.isfile(os.path.join(path, METADATA))
     return WorldName(
         name=name,
-        kind="ROS bag" if is_folder else _KIND_OF[path.rpartition(".")[2].lower()],
-        base=os.path.join(path, METADATA) if is_folder else path,
+        kind="ROS bag" if recording_folder(path) else _KIND_OF[path.rpartition(".")[2].lower()],
+        base=path,
         scale=_scale(name, scale[1:]) if scale else None,
         parameters=_parameters(name, parameters) if colon else {},
     )
 
 
 def _seed(name: str, text: str) -> int:
-    if not re.fullmatch("[0-9]{1,10}", text) or int(text) >= _SEEDS:
-        raise InputError(f"{name!r}: the seed after '#' must be an integer from 0 to {_SEEDS - 1}, got {text!r}")
+    if not re.fullmatch("[0-9]{1,10}", text) or int(text) > MAX_SEED:
+        raise InputError(f"{name!r}: the seed after '#' must be an integer from 0 to {MAX_SEED}, got {text!r}")
     return int(text)
 
 

@@ -8,9 +8,7 @@ import numpy as np
 
 from jexplore.config import InputError, shown
 from jexplore.users import call_user, described
-from jexplore.worlds.world import World, require_world
-
-ARRAYS = ("occupied", "rooms", "within", "known", "elevation")  # of a `World`: what two calls are compared by
+from jexplore.worlds.world import ARRAYS, World, require_world
 
 
 def own_parameters(make: Callable[..., Any]) -> dict[str, Any]:
@@ -35,7 +33,7 @@ def make_world(make: Callable[..., Any], seed: int, cell_m: float, parameters: d
     what = described(make)
     more = {"cell_m": cell_m} if "cell_m" in inspect.signature(make).parameters else {}
     first, again = (_require_own(call_user(make, what, seed, **more, **parameters), what) for _ in range(2))
-    for name in ("cell_m", "origin_m", "start", *ARRAYS):
+    for name in ("cell_m", "origin_m", "start", "occupied", *ARRAYS):
         one, other = getattr(first, name), getattr(again, name)
         if not (one is other is None) and not np.array_equal(np.asarray(one), np.asarray(other)):
             raise InputError(f"{what} is not a function of its seed: two calls with seed {seed} differ in {name}")
@@ -45,7 +43,7 @@ def make_world(make: Callable[..., Any], seed: int, cell_m: float, parameters: d
 def _require_own(world: Any, what: str) -> World:
     if not isinstance(world, World):
         raise InputError(f"{what} must return a jx.World, got {shown(world)}")
-    for name in ARRAYS:
+    for name in ("occupied", *ARRAYS):
         value = getattr(world, name)
         try:
             world = world if value is None else world.replace(**{name: np.asarray(value)})

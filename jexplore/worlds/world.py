@@ -18,13 +18,13 @@ from jexplore.worlds.bounds import require_side
 
 ROBOT_PT = 9  # from the middle of the arrow to its tip
 ROBOT = "#e69f00"
-_ARRAYS = {
-    "rooms": ("iu", "integers"),
-    "elevation": ("f", "floats"),
-    "within": ("b", "bool"),
-    "known": ("i", "integers, -1 unknown, 0 free, 1 occupied,"),
+ARRAYS: dict[str, tuple[str, str, dict[str, Any]]] = {
+    "rooms": ("iu", "integers", {"constant_values": -1}),
+    "elevation": ("f", "floats", {"mode": "edge"}),
+    "within": ("b", "bool", {}),
+    "known": ("i", "integers, -1 unknown, 0 free, 1 occupied,", {"constant_values": -1}),
 }
-"""Array of a world that it need not have -> kinds of its dtype, and how a message tells them."""
+"""Array of a world that it need not have -> kinds of its dtype, how a message tells them, and how a ring pads it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,7 +113,7 @@ class World:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"{os.fspath(path.parent)!r} must be a folder: {error.strerror}") from None
-        ros.write_ros(self, path)
+        ros.write_ros(self.occupied, path, cell_m=self.cell_m, origin_m=self.origin_m)
         return path
 
     def __repr__(self) -> str:
@@ -168,7 +168,7 @@ def require_world(world: World) -> World:
         raise InputError(f"{name!r}: occupied must be [H, W] bool, got {occupied.shape} {occupied.dtype}")
     require_number(f"{name!r}: cell_m", world.cell_m, low_open=True, high=100)
     require_side(name, *ringed_shape(occupied), cell_m=world.cell_m)
-    for field, (kinds, what) in _ARRAYS.items():
+    for field, (kinds, what, _) in ARRAYS.items():
         if getattr(world, field) is not None:
             array = np.asarray(getattr(world, field))
             if array.shape != occupied.shape or array.dtype.kind not in kinds:
@@ -202,14 +202,11 @@ def with_ring(world: World) -> World:
     occupied = world.occupied
     if not ring_of(occupied):
         return world
-    require_side(world.name or "world", *ringed_shape(occupied), world.cell_m)
     x_m, y_m = world.origin_m
+    arrays = {name: (getattr(world, name), how) for name, (_, _, how) in ARRAYS.items()}
     return world.replace(
         occupied=np.pad(occupied, 1, constant_values=True),
-        rooms=None if world.rooms is None else np.pad(world.rooms, 1, constant_values=-1),
-        elevation=None if world.elevation is None else np.pad(world.elevation, 1, mode="edge"),
-        within=None if world.within is None else np.pad(world.within, 1),
-        known=None if world.known is None else np.pad(world.known, 1, constant_values=-1),
+        **{name: None if array is None else np.pad(array, 1, **how) for name, (array, how) in arrays.items()},
         start=None if world.start is None else (world.start[0] + 1, world.start[1] + 1, world.start[2]),
         origin_m=(round(x_m - world.cell_m, 9), round(y_m - world.cell_m, 9)),  # as people write them, to the nanometre
     )
@@ -244,7 +241,6 @@ def occupancy_to_world(
     what, free_max = name or "occupancy", require_whole("free_max", free_max, 0, 99)
     require_number("cell_m", cell_m, low_open=True)
     occupancy = require_occupancy(what, occupancy, free_max)
-    require_side(what, *occupancy.shape, cell_m=cell_m)
     occupied = occupancy.copy() if occupancy.dtype.kind == "b" else (occupancy < 0) | (occupancy > free_max)
     if occupied.all():
         raise InputError(f"{what!r}: no cell is free (occupancy 0 to {free_max})")

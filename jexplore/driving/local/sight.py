@@ -57,12 +57,12 @@ def look(window: Window, pose: np.ndarray, start: np.ndarray, width_m: float, op
     lines = lines_of(obstacle, free, width=width_m / CELL_M)
     corners = take_corners(lines)
     cell, began = (tuple(window.cell(xy).tolist()) for xy in (pose[:2], start))
-    here = attached(lines, corners, {"start": cell}, free).get("start")
+    here = attached(lines, corners, cell, free)
     if here is None:
         return []
     alive, terminals = connected_cells(lines.near, [here])[0], {}
     if all(0 < i < n - 1 for i, n in zip(began, free.shape, strict=True)) and free[began]:
-        at = attached(lines, corners, {"start": began}, free).get("start")
+        at = attached(lines, corners, began, free)
         if at in alive:
             terminals = {at: PlaceDraft(float(began[0]), float(began[1]), "terminal", float(lines.radius[at]))}
     places, ways = places_and_passages(lines, corners, alive, terminals, open_cells=open_m / CELL_M)

@@ -39,10 +39,8 @@ def transform(params: Params, belief: Belief, reached: Field) -> Array:
     off_m = jnp.sqrt(nearest_offset(is_occupied(belief.grid, belief.model.p_free))[0]) * belief.model.cell_m
     danger = params.weight * jnp.maximum(params.safe_m - off_m, 0) ** 2
     danger = jnp.round(jnp.minimum(danger * STEPS[0], MOST)).astype(jnp.int32)
-    words, height = bits.pack(reached.traversable), belief.driven.shape[0]
-    below = ((0, bits.WORD * words.shape[0] - height), (0, 0))
-    start = jnp.pad(jnp.where(reached.frontier, 0, FAR), below, constant_values=FAR)
-    return spread(words, start, (0, 0), None, jnp.int32(FAR), STEPS, jnp.pad(danger, below))[:height]
+    start = jnp.where(reached.frontier, 0, FAR)
+    return spread(bits.pack(reached.traversable), start, steps=STEPS, extra=danger)[: start.shape[0]]
 
 
 def descent(value: Array, traversable: Array, row: Array, col: Array) -> tuple[Array, Array, Array]:

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jexplore import reach
@@ -17,7 +16,7 @@ from jexplore.studies.bounds.scene import Scene
 
 @jax.jit
 def _flood(words, start):
-    return reach.spread(words, start, (0, 0), None, jnp.int32(FAR), reach.STEPS)
+    return reach.spread(words, start)
 
 
 def low_metres(cost: int, cell_m: float) -> float:

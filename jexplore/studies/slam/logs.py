@@ -15,8 +15,8 @@ from jexplore.slam2d.mapping import Mapper
 from jexplore.slam2d.matching import Outcome
 from jexplore.slam2d.settings import SlamSettings
 from jexplore.studies.slam.errors import Relations, error_rows, read_relations, relations_between, trajectory_error
+from jexplore.worlds.readers.bags import is_bag, read_laser_bag
 from jexplore.worlds.readers.carmen import read_carmen
-from jexplore.worlds.readers.laser_bags import is_bag, read_laser_bag
 from jexplore.worlds.readers.scans import ScanLog, ScanMap, fold_scans
 
 if TYPE_CHECKING:

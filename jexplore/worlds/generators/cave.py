@@ -5,7 +5,7 @@ import math
 import numpy as np
 from scipy import ndimage
 
-from jexplore.worlds.bounds import bounded, count_cells
+from jexplore.worlds.bounds import count_cells
 from jexplore.worlds.generators.draft import PASSABLE_M, random_stream
 from jexplore.worlds.starts import clear_of_walls, largest_component
 from jexplore.worlds.world import World
@@ -19,7 +19,6 @@ _LEAST_M2 = 0.3  # a rock that adds less finds no place
 _FAILURES = 200  # draws in a row that find no place
 
 
-@bounded
 def cave(
     seed: int,
     *,

@@ -1,14 +1,28 @@
 """A course for trace maps: passages, a slope, junctions and a hall, with its true topology."""
 
+import dataclasses
+from collections.abc import Sequence
+
 import numpy as np
 
-from jexplore.worlds.bounds import CREASES, bounded
-from jexplore.worlds.generators.course_map import render_course
-from jexplore.worlds.generators.draft import random_stream
+from jexplore.worlds.bounds import CREASES
+from jexplore.worlds.generators.course_map import (
+    CLEAR_GAP_M,
+    RAMP_M,
+    CoursePlan,
+    Leg,
+    Ramp,
+    Stop,
+    drawn_width,
+    fifths,
+    render_course,
+)
+from jexplore.worlds.generators.draft import Rect, random_stream, rects_near
 from jexplore.worlds.generators.network import draw_network
-from jexplore.worlds.generators.route import LEFT, RIGHT, STRAIGHT, CourseRoute, drawn_width, fifths
 from jexplore.worlds.world import World
 
+RIGHT, STRAIGHT, LEFT = -1, 0, 1
+_STEP = ((1, 0), (0, 1), (-1, 0), (0, -1))
 _START_M = 1.5  # from the wall behind the start
 _ATTEMPTS = 60
 _JUNCTIONS = (
@@ -22,7 +36,6 @@ _JUNCTIONS = (
 """Openings, and how often: T from its stem, T from either side, crossing, corners."""
 
 
-@bounded
 def course(
     seed: int,
     *,
@@ -70,6 +83,129 @@ def course(
         if furniture:
             _furnish(rng, plan)
     return render_course(plan, cell_m, obstacle, riser_m)
+
+
+class CourseRoute(CoursePlan):
+    """Plan under construction, drawn as one would walk it.
+
+    The robot stands at `at`, on the centre line, at the end of the carved passage.
+    """
+
+    def __init__(self, heading: int, width: float, start_m: float) -> None:
+        """Begin with a wall, and the robot `start_m` before it with its back to it."""
+        self.at, self.heading, self.width = (0.0, 0.0), heading, width
+        self.part = 0
+        self.fits = True
+        """False once a passage came too near to an earlier one. Neighbouring parts of a route cannot."""
+        self.straights: list[tuple[Rect, int]] = []
+        self._last: int | None = None
+        self._parts: list[int] = []
+        super().__init__(self._stop("terminal"), [], [], [], [], has_goal=True)
+        self._carve(start_m)
+        self._advance(start_m)
+        self.start = self._stop("terminal")
+        self._arrive(self.start)
+
+    def passage(self, length: float) -> None:
+        """Go on straight. Every passage begins a part of the route; what follows it belongs to the same part."""
+        self.part += 1
+        rect = self._carve(length)
+        self.straights.append((rect, self.heading))
+        self._advance(length)
+
+    def ramp(self, angle_deg: float, creases: int = 3) -> None:
+        """Add an up-and-down obstacle with a number of creases. With 0 it is omitted, but its place remains."""
+        self._carve(2 * RAMP_M)
+        if creases:
+            ramp = Ramp(self.heading, self._lane(), self._along(), angle_deg)
+            self.ramps.append(ramp)
+            for crease in range(creases):
+                self._arrive(dataclasses.replace(self._stop("obstacle"), ramp=ramp, crease=crease))
+        self._advance(2 * RAMP_M)
+
+    def hall(self, length: float, depth: float, side: int) -> None:
+        """Add a free space: one wall of the passage steps back by `depth`, on the `side` LEFT or RIGHT."""
+        self._arrive(self._stop("free_space"))
+        self._carve(length, (-side * self.width / 2, side * (self.width / 2 + depth)))
+        self._advance(length)
+        self._arrive(self._stop("free_space"))
+
+    def junction(self, turns: Sequence[int], width: float, stub_m: float, dead_m: float = 0.0) -> None:
+        """Add a corner, T or crossing. The robot takes the first way counter-clockwise from the way in.
+
+        `turns` have an opening, the passage across is `width` wide, and passages that the robot does not take are
+        `stub_m` long. With `dead_m` it first takes a passage so long, a dead end, and returns from it.
+        """
+        rect = self._carve(width)
+        openings = [self.heading + 2, *(self.heading + turn for turn in turns)]
+        node = self._arrive(self._stop("divergence", rect, openings))
+        before = self.at, self.heading, self.width
+        todo = sorted(turns)
+        if dead_m:
+            self._turn(before, todo.pop(0), width)
+            self._carve(dead_m - self.width)
+            self._advance(dead_m - self.width)
+            end = self._stop("divergence", self._carve(self.width), [self.heading + 2])
+            self._arrive(end)
+            self._last = node
+        for turn in todo[1:]:
+            self._turn(before, turn, width)
+            self._carve(stub_m)
+            self.legs.append(Leg(node, None, self.heading, self._lane()))
+        self._turn(before, todo[0], width)
+
+    def goal(self, length: float, beyond: float) -> None:
+        """Add the goal after `length` of passage; the passage goes on for `beyond`."""
+        self.passage(length)
+        self._arrive(self._stop("terminal"))
+        self._carve(beyond)
+
+    def _lane(self) -> tuple[float, float]:
+        middle = self.at[1 - self.heading % 2]
+        return middle - self.width / 2, middle + self.width / 2
+
+    def _along(self) -> float:
+        return self.at[self.heading % 2]
+
+    def _stop(self, kind: str, rect: Rect | None = None, openings: Sequence[int] = ()) -> Stop:
+        arms = frozenset(opening % 4 for opening in openings)
+        return Stop(kind, self.heading, self._lane(), self._along(), rect, arms)
+
+    def _arrive(self, stop: Stop) -> int:
+        self.stops.append(stop)
+        number = len(self.stops) - 1
+        if self._last is not None:
+            self.legs.append(Leg(self._last, number, self.heading, self._lane()))
+        self._last = number
+        return number
+
+    def _advance(self, length: float) -> None:
+        dx, dy = _STEP[self.heading]
+        self.at = self.at[0] + dx * length, self.at[1] + dy * length
+
+    def _turn(self, before: tuple[tuple[float, float], int, float], turn: int, width: float) -> None:
+        """Stand in the mouth of one arm of a junction whose near side is at `before`."""
+        self.at, self.heading, self.width = before
+        if turn == STRAIGHT:
+            self._advance(width)
+            return
+        self._advance(width / 2)
+        self.heading = (self.heading + turn) % 4
+        self._advance(self.width / 2)
+        self.width = width
+
+    def _carve(self, length: float, sides: tuple[float, float] | None = None) -> Rect:
+        """Free a rectangle ahead; `sides` are its two sides, metres to the left of the centre line."""
+        right, left = sides or (-self.width / 2, self.width / 2)
+        (dx, dy), (x, y) = _STEP[self.heading], self.at
+        xs = sorted(round(x + dx * a - dy * b, 6) for a, b in ((0.0, right), (length, left)))
+        ys = sorted(round(y + dy * a + dx * b, 6) for a, b in ((0.0, right), (length, left)))
+        rect = xs[0], ys[0], xs[1], ys[1]
+        earlier = (other for part, other in zip(self._parts, self.areas) if part < self.part - 1)
+        self.fits &= not any(rects_near(rect, other, CLEAR_GAP_M) for other in earlier)
+        self._parts.append(self.part)
+        self.areas.append(rect)
+        return rect
 
 
 def _route_of_paper(width_m: float, creases: int) -> CourseRoute:

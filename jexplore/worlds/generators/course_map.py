@@ -1,11 +1,13 @@
-"""Conversion of a course plan to cells: walls, height of the ground, and the true topology.
+"""The plan of a course in metres, and its conversion to cells: walls, height of the ground, and the true topology.
 
-Every coordinate is rounded to the nearest edge of a cell on its own, so walls in line stay in line; the topology is
-made from the rounded plan and is exact for the cells, not for the drawing.
+Headings and turns are quarter turns: 0 is +x, 1 is +y, 2 is -x, 3 is -y. Every coordinate is rounded to the nearest
+edge of a cell on its own, so walls in line stay in line; the topology is made from the rounded plan and is exact for
+the cells, not for the drawing.
 """
 
 import dataclasses
 import math
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -13,13 +15,72 @@ from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node
 from jexplore.tracemap.rooted import topology_from
 from jexplore.worlds.bounds import count_cells, require_side
 from jexplore.worlds.generators.draft import Rect, to_cells
-from jexplore.worlds.generators.route import RAMP_M, ROCK_M, CoursePlan, Leg, Ramp, Stop, largest_circle
 from jexplore.worlds.world import Course, World
 
+ROCK_M = 1.0  # wall between two passages that do not meet, and round the whole
+CLEAR_GAP_M = ROCK_M - 1e-6  # nearer than this, passages do not keep clear of each other
+RAMP_M = 2.4  # length of the way up, and of the way down
 TREAD_M = 0.30
 SILL_M = 0.2
 TWIST_M = 1.0  # on which level ground becomes a cross slope
 _BESIDE_M = 0.4  # m; the ground of a ramp continues this far into the adjacent walls, for interpolation
+
+
+@dataclasses.dataclass(frozen=True)
+class Ramp:
+    """An obstacle across a passage, twice `RAMP_M` long."""
+
+    heading: int
+    lane: tuple[float, float]  # the two sides of the passage: their y if it runs along x, else their x
+    along: float  # start of the ramp: x if the passage runs along x, else y
+    angle_deg: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Stop:
+    """A place that becomes a node of the topology."""
+
+    type: str  # like `tracemap.record.Node.type`
+    heading: int  # in which the robot comes
+    lane: tuple[float, float]  # of the passage, as in `Ramp`
+    along: float = 0.0  # as in `Ramp`. Without meaning where there is a rectangle or a ramp
+    rect: Rect | None = None  # of a divergence: where its passages overlap; the last stretch of a dead end
+    arms: frozenset[int] = frozenset()  # of a divergence: headings of its openings
+    ramp: Ramp | None = None
+    crease: int = 0  # of an obstacle: which of the places at which its ground changes
+
+
+@dataclasses.dataclass(frozen=True)
+class Leg:
+    """A straight way between two stops, or out of one."""
+
+    start: int
+    end: int | None
+    heading: int
+    lane: tuple[float, float]
+
+
+@dataclasses.dataclass
+class CoursePlan:
+    """A plan that `render_course` makes a world of."""
+
+    start: Stop  # the robot's; its heading is that of the course
+    areas: list[Rect]  # free
+    stops: list[Stop]
+    legs: list[Leg]
+    ramps: list[Ramp]
+    boxes: list[Rect] = dataclasses.field(default_factory=list)  # furniture
+    has_goal: bool = False  # the last stop is the goal, and ways that the robot does not take have no end
+
+
+def drawn_width(rng: np.random.Generator, width_m: float) -> float:
+    """Draw the width of a passage, metres: a multiple of 0.2 m, 0.7 to 1.2 times `width_m` and at least 1.2 m."""
+    return max(1.2, fifths(rng, 0.7 * width_m, 1.2 * width_m))
+
+
+def fifths(rng: np.random.Generator, low: float, high: float) -> float:
+    """Draw a multiple of 0.2 m from about `low` to about `high`."""
+    return 0.2 * int(rng.integers(round(low / 0.2), round(high / 0.2) + 1))
 
 
 class _Grid:
@@ -184,3 +245,25 @@ def _furniture(boxes: list[Rect], grid: _Grid, leg: Leg, ends: list[float]) -> f
         if min(ends) < middle[axis] < max(ends) and sides[0] < middle[1 - axis] < sides[1]:
             deepest = max(deepest, snapped[3 - axis] - snapped[1 - axis])
     return deepest
+
+
+def largest_circle(rect: Sequence[float], arms: Collection[int]) -> tuple[float, float, float]:
+    """Return x, y and radius of the largest empty circle at a junction: it touches three walls, at a crossing four.
+
+    `rect`: where the passages overlap; of a dead end, its last stretch. `arms`: headings of the openings.
+    """
+    x0, y0, x1, y1 = rect
+    closed = sorted({0, 1, 2, 3} - set(arms))
+    if not closed:
+        return (x0 + x1) / 2, (y0 + y1) / 2, ((x1 - x0) ** 2 + (y1 - y0) ** 2) ** 0.5 / 2
+    size = x1 - x0, y1 - y0
+    if len(closed) == 1:  # far wall and the two corners of the stem
+        across, stem = size if closed[0] % 2 == 0 else size[::-1]
+        radius = across / 2 + stem**2 / (8 * across)
+    elif len(closed) == 2:  # two outer walls and the inner corner
+        radius = size[0] + size[1] - (2 * size[0] * size[1]) ** 0.5
+    else:
+        radius = size[(min(arms) + 1) % 2] / 2
+    x = x1 - radius if 0 in closed else x0 + radius if 2 in closed else (x0 + x1) / 2
+    y = y1 - radius if 1 in closed else y0 + radius if 3 in closed else (y0 + y1) / 2
+    return x, y, radius

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from jexplore.config import MAX_SEED, require_whole
 from jexplore.grid import radius_d2
 from jexplore.worlds.bounds import count_cells
 from jexplore.worlds.world import World
@@ -25,7 +24,7 @@ _STREAMS = {"cave": 1, "office": 2, "hospital": 3, "maze": 4, "rooms": 5, "cours
 
 def random_stream(seed: int, kind: str, *use: int) -> np.random.Generator:
     """Return the generator of a seed and a kind of world; `use` is the number of another of its uses."""
-    return np.random.default_rng([require_whole("seed", seed, 0, MAX_SEED), _STREAMS[kind], *use])
+    return np.random.default_rng([seed, _STREAMS[kind], *use])
 
 
 def passable_cells(cell_m: float) -> int:
@@ -114,6 +113,8 @@ class Door:
 class FloorPlan:
     """A floor plan under construction. What no room covers is solid."""
 
+    kind: str
+    seed: int
     width_m: float
     height_m: float
     rooms: list[list[Rect]] = dataclasses.field(default_factory=list)
@@ -123,6 +124,10 @@ class FloorPlan:
     """Columns, counters, furniture: rectangles of their true size, at least one cell."""
     kinds: list[str] = dataclasses.field(default_factory=list)
     """Use of every room: a key of `furniture.ROOMS`; empty if its size decides."""
+
+    def stream(self, *use: int) -> np.random.Generator:
+        """Return the plan's `random_stream`, or that of another of its uses."""
+        return random_stream(self.seed, self.kind, *use)
 
     def room(self, *rects: Rect, kind: str = "") -> int:
         """Add a room of one or more overlapping rectangles, of a kind (see `kinds`). Returns its number."""
@@ -223,8 +228,16 @@ class FloorPlan:
         return World(occupied=occupied[flip].copy(), rooms=rooms[flip].copy(), cell_m=float(cell_m))
 
 
-def cut_length(rng: np.random.Generator, length: float, kinds: Sequence[tuple[float, float, float]]) -> list[float]:
-    """Cut a length into stretches of kinds `(weight, low, high)`, metres, none shorter than the least `low`."""
+def stretches(
+    rng: np.random.Generator, first: float, last: float, kinds: Sequence[tuple[float, float, float]]
+) -> list[tuple[float, float]]:
+    """Cut a line into stretches of kinds `(weight, low, high)`, metres, none shorter than the least `low`.
+
+    Returns the ends of each; none if the line has no length.
+    """
+    length = last - first
+    if length <= 1e-6:
+        return []
     weights = np.array([kind[0] for kind in kinds], float)
     lengths = []
     while sum(lengths) < length:
@@ -235,7 +248,8 @@ def cut_length(rng: np.random.Generator, length: float, kinds: Sequence[tuple[fl
         sum(lengths) - length > lengths[-1] / 2 or min(lengths) * length < least * sum(lengths)
     ):
         lengths.pop()
-    return [one * length / sum(lengths) for one in lengths]
+    ends = itertools.accumulate((one * length / sum(lengths) for one in lengths), initial=first)
+    return list(itertools.pairwise(ends))
 
 
 def bands(

@@ -19,7 +19,6 @@ from jexplore.worlds.generators.draft import (
     Rect,
     Side,
     block_cells,
-    random_stream,
     rects_near,
 )
 from jexplore.worlds.starts import clear_of_walls, largest_component
@@ -72,7 +71,7 @@ class _Piece(NamedTuple):
     parts: list[Part]
 
 
-def furnish(plan: FloorPlan, seed: int, kind: str, furniture: float) -> None:
+def furnish(plan: FloorPlan, furniture: float) -> None:
     """Furnish the rooms of a plan, as blocks.
 
     Doorways and a strip before them stay free. A piece that would separate two doors of a room, enclose free space or
@@ -87,7 +86,7 @@ def furnish(plan: FloorPlan, seed: int, kind: str, furniture: float) -> None:
             doors[number].append(door)
     empty, standing = [plan.render(cell_m) for cell_m, _ in CHECKED_CELLS], list(plan.blocks)
     for number in range(len(plan.rooms)):
-        rng = random_stream(seed, kind, _FURNITURE, number)
+        rng = plan.stream(_FURNITURE, number)
         parts = _draw_parts(rng, plan, number, doors[number], standing)
         blocks = [blocks for rank, blocks in sorted(parts, key=lambda part: part[0]) if rank <= furniture]
         rooms = zip(empty, CHECKED_CELLS)

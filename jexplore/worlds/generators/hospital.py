@@ -1,12 +1,10 @@
 """A hospital wing: a ward round a core with the nurses' station, a hall, and a treatment wing."""
 
-from jexplore.worlds.bounds import bounded
-from jexplore.worlds.generators.draft import FloorPlan, bands, cut_length, random_stream, stand_columns
+from jexplore.worlds.generators.draft import FloorPlan, bands, stand_columns, stretches
 from jexplore.worlds.generators.variants import corridor_widths, finish_building
 from jexplore.worlds.world import World
 
 
-@bounded
 def hospital(
     seed: int,
     *,
@@ -28,9 +26,8 @@ def hospital(
     other suites of a waiting room and the rooms behind it; it may be less deep than the ward. `room_m` is the width of
     a common patient room; the other parameters are those of `office`.
     """
-    rng = random_stream(seed, "hospital")
-    plan = FloorPlan(width_m, height_m)
-    widths = corridor_widths(seed, "hospital", height_m, corridor_m, corridor_sd_m)
+    plan = FloorPlan("hospital", seed, width_m, height_m)
+    rng, widths = plan.stream(), corridor_widths(plan, corridor_m, corridor_sd_m)
     stack = bands(rng, height_m, widths, (1.25, 1.4))
     hall_m = rng.uniform(6.0, 8.5) if width_m > 40 else 6.0
     x0 = width_m * rng.uniform(0.45, 0.58) - hall_m / 2
@@ -41,7 +38,7 @@ def hospital(
         plan.gap(stretch, 1.2)
     _treatment(rng, plan, x0 + hall_m, stack, hall, kinds)
     flips = (rng.random(2) < 0.5).tolist()
-    return finish_building(plan, seed, "hospital", cell_m, furniture, wide_openings, max_loops, corridor_sd_m, flips)
+    return finish_building(plan, cell_m, furniture, wide_openings, max_loops, corridor_sd_m, flips)
 
 
 def _ward(rng, plan, end, stack, corridor_m, kinds):
@@ -55,10 +52,9 @@ def _ward(rng, plan, end, stack, corridor_m, kinds):
         y0, y1 = lines[0][0], lines[-1][1]
         along = ((x, low, end, high) for low, high in lines)
         corridor = plan.room((x, y0, x + corridor_m, y1), *along, kind="corridor")
-        for height in cut_length(rng, y1 - y0, [(1.0, 2.8, 5.5)]):
-            plan.room((0.0, y0, x, y0 + height), kind="treatment")
-            plan.gap((True, x, y0, y0 + height), rng.choice([0.9, 1.2]), rng.choice([0.1, 0.5, 0.9]))
-            y0 += height
+        for low, high in stretches(rng, y0, y1, [(1.0, 2.8, 5.5)]):
+            plan.room((0.0, low, x, high), kind="treatment")
+            plan.gap((True, x, low, high), rng.choice([0.9, 1.2]), rng.choice([0.1, 0.5, 0.9]))
         for low, high in stack[2:-1:2]:
             _core(rng, plan, (x + corridor_m, low, end, high))
     for (y0, y1), front in ((stack[0], lines[0][0]), (stack[-1], lines[-1][1])):
@@ -73,10 +69,10 @@ def _ward(rng, plan, end, stack, corridor_m, kinds):
 
 def _patients(rng, plan, rect, front, kinds):
     """Draw a row of patient rooms and stores between a facade and a corridor that begins at y = `front`."""
-    x0, y0, x1, y1 = rect
+    first, y0, last, y1 = rect
     left = bool(rng.random() < 0.5)
-    for width in cut_length(rng, x1 - x0, kinds):
-        x0, x1 = x0, x0 + width
+    for x0, x1 in stretches(rng, first, last, kinds):
+        width = x1 - x0
         inner_m = min(rng.uniform(1.8, 2.2), width - 1.9)
         if inner_m < 1.8 or y1 - y0 < 4.2 or rng.random() < 0.15:
             plan.room((x0, y0, x1, y1), kind="patient" if width >= 3 else "store")
@@ -84,7 +80,6 @@ def _patients(rng, plan, rect, front, kinds):
         else:
             _with_bathroom(rng, plan, (x0, y0, x1, y1), front, inner_m, left)
             left = not left  # bathrooms of neighbours share a wall of pipes
-        x0 = x1
 
 
 def _with_bathroom(rng, plan, rect, front, inner_m, left):
@@ -120,17 +115,16 @@ def _core(rng, plan, rect):
     if y1 - y0 > 4.4 and size > 5.0:
         _desk(plan, begin + size / 2, (y0 + y1) / 2)
     kinds = [(0.4, 2.2, 3.0), (0.6, 3.2, 5.0)]
-    for low, high in ((x0, begin), (begin + size, x1)):
-        for width in cut_length(rng, high - low, kinds) if high > low + 1e-6 else ():
+    for side in ((x0, begin), (begin + size, x1)):
+        for low, high in stretches(rng, *side, kinds):
             if y1 - y0 > 4.6 and rng.random() < 0.55:  # two rooms, back to back
                 y = y0 + (y1 - y0) * rng.uniform(0.42, 0.58)
                 halves = [(y0, y, y0), (y, y1, y1)]
             else:
                 halves = [(y0, y1, (y0, y1)[rng.integers(2)])]
             for bottom, top, front in halves:
-                plan.room((low, bottom, low + width, top), kind="treatment" if width > 3 else "store")
-                plan.gap((False, front, low, low + width), rng.choice([0.9, 1.1]), rng.choice([0.1, 0.5, 0.9]))
-            low += width
+                plan.room((low, bottom, high, top), kind="treatment" if high - low > 3 else "store")
+                plan.gap((False, front, low, high), rng.choice([0.9, 1.1]), rng.choice([0.1, 0.5, 0.9]))
 
 
 def _desk(plan, x, y):
@@ -150,10 +144,9 @@ def _hall(rng, plan, ends, stack):
     rect = (x0, 0.0, x1, y)
     stand_columns(plan, rect, spacing_m=3.6, margin_m=1.9)
     hall = plan.room(rect, kind="lobby")
-    for width in cut_length(rng, x1 - x0, [(1.0, 2.6, 4.5)]):
-        plan.room((x0, y, x0 + width, plan.height_m))
-        plan.gap((False, y, x0, x0 + width), rng.choice([0.9, 1.0]), rng.choice([0.1, 0.5, 0.9]))
-        x0 += width
+    for low, high in stretches(rng, x0, x1, [(1.0, 2.6, 4.5)]):
+        plan.room((low, y, high, plan.height_m))
+        plan.gap((False, y, low, high), rng.choice([0.9, 1.0]), rng.choice([0.1, 0.5, 0.9]))
     return hall
 
 
@@ -181,15 +174,11 @@ def _treatment(rng, plan, begin, stack, hall, kinds):
 
 def _suites(rng, plan, ends, front, back):
     """Draw waiting rooms at a corridor (y = `front`), each with two or three rooms behind it."""
-    x0 = ends[0]
-    for width in cut_length(rng, ends[1] - ends[0], [(1.0, 6.5, 10.0)]):
+    for x0, x1 in stretches(rng, ends[0], ends[1], [(1.0, 6.5, 10.0)]):
         middle = front + (back - front) * rng.uniform(0.42, 0.52)
-        plan.room((x0, min(front, middle), x0 + width, max(front, middle)), kind="waiting")
-        for at in (0.1, 0.9) if width > 7.5 else (0.5,):
-            plan.gap((False, front, x0, x0 + width), 1.2, at)
-        x = x0
-        for part in cut_length(rng, width, [(1.0, 2.6, 4.4)]):
-            plan.room((x, min(back, middle), x + part, max(back, middle)), kind="treatment")
-            plan.gap((False, middle, x, x + part), rng.choice([0.9, 1.0]), rng.choice([0.1, 0.5, 0.9]))
-            x += part
-        x0 += width
+        plan.room((x0, min(front, middle), x1, max(front, middle)), kind="waiting")
+        for at in (0.1, 0.9) if x1 - x0 > 7.5 else (0.5,):
+            plan.gap((False, front, x0, x1), 1.2, at)
+        for low, high in stretches(rng, x0, x1, [(1.0, 2.6, 4.4)]):
+            plan.room((low, min(back, middle), high, max(back, middle)), kind="treatment")
+            plan.gap((False, middle, low, high), rng.choice([0.9, 1.0]), rng.choice([0.1, 0.5, 0.9]))

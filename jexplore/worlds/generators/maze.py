@@ -7,14 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from jexplore.config import InputError
-from jexplore.worlds.bounds import bounded, count_cells
+from jexplore.worlds.bounds import count_cells
 from jexplore.worlds.generators.draft import passable_cells, random_stream, wall_span
 from jexplore.worlds.world import World
 
 _Place = tuple[int, int]
 
 
-@bounded
 def maze(
     seed: int,
     *,

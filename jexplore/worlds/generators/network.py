@@ -12,8 +12,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from jexplore.worlds.generators.course_map import CLEAR_GAP_M, RAMP_M, CoursePlan, Leg, Ramp, Stop, drawn_width, fifths
 from jexplore.worlds.generators.draft import Rect, rects_near
-from jexplore.worlds.generators.route import CLEAR_GAP_M, RAMP_M, CoursePlan, Leg, Ramp, Stop, drawn_width, fifths
 
 _Key = tuple[float, float]  # of a column and a row
 _Option = TypeVar("_Option")

@@ -2,8 +2,7 @@
 
 import itertools
 
-from jexplore.worlds.bounds import bounded
-from jexplore.worlds.generators.draft import FloorPlan, bands, cut_length, random_stream, stand_columns
+from jexplore.worlds.generators.draft import FloorPlan, bands, stand_columns, stretches
 from jexplore.worlds.generators.variants import corridor_widths, finish_building
 from jexplore.worlds.world import World
 
@@ -11,7 +10,6 @@ _LARGE = {"lobby": (3.0, 1.7, 1.2), "open": (4.5, 2.2, 1.1)}
 """Kind of a large room -> spacing of its columns, their least distance from the walls, width of its doors, metres."""
 
 
-@bounded
 def office(
     seed: int,
     *,
@@ -32,13 +30,12 @@ def office(
     `corridor_m` is measured between the middles of the walls, `room_m` is the width of a common office, which the
     others follow; the others are as of `finish_building`.
     """
-    rng = random_stream(seed, "office")
-    plan = FloorPlan(width_m, height_m)
-    widths = corridor_widths(seed, "office", height_m, corridor_m, corridor_sd_m)
+    plan = FloorPlan("office", seed, width_m, height_m)
+    rng, widths = plan.stream(), corridor_widths(plan, corridor_m, corridor_sd_m)
     stack = bands(rng, height_m, widths, (1.05, 1.25))
     _floor(rng, plan, stack, corridor_m, _kinds(room_m))
     flips = (rng.random(2) < 0.5).tolist()
-    return finish_building(plan, seed, "office", cell_m, furniture, wide_openings, max_loops, corridor_sd_m, flips)
+    return finish_building(plan, cell_m, furniture, wide_openings, max_loops, corridor_sd_m, flips)
 
 
 def _floor(rng, plan, stack, corridor_m, kinds):
@@ -137,11 +134,11 @@ def _large_room(plan, rect, corridors, kind):
 
 def _row(rng, plan, rect, corridor, kinds):
     """Draw rooms side by side along a corridor; some lie behind a front office, some have a door to the room before."""
-    x0, y0, x1, y1 = rect
+    first, y0, last, y1 = rect
     above = plan.rooms[corridor][0][1] > y0  # the corridor lies above the row
     before = None
-    for width in cut_length(rng, x1 - x0, kinds):
-        x0, x1 = x0, x0 + width
+    for x0, x1 in stretches(rng, first, last, kinds):
+        width = x1 - x0
         if width >= 3.2 and y1 - y0 >= 4.6 and rng.random() < 0.18:
             share = rng.uniform(0.45, 0.55)
             y = y0 + (y1 - y0) * share
@@ -158,7 +155,6 @@ def _row(rng, plan, rect, corridor, kinds):
         if before is not None and width > 2.4 and rng.random() < 0.12:
             plan.door(before, back, 0.9, rng.choice([0.1, 0.9]))
         before = back if width > 2.4 else None
-        x0 = x1
 
 
 def _core(rng, plan, ends, band, corridors, kinds):

@@ -4,15 +4,13 @@ import math
 
 import numpy as np
 
-from jexplore.worlds.bounds import bounded
-from jexplore.worlds.generators.draft import FloorPlan, Rect, random_stream
+from jexplore.worlds.generators.draft import FloorPlan, Rect
 from jexplore.worlds.generators.variants import finish_building
 from jexplore.worlds.world import World
 
 _SHARED_M = 1.9  # a stretch of wall that holds the widest door, its jambs and the walls at both ends
 
 
-@bounded
 def rooms(
     seed: int,
     *,
@@ -31,8 +29,8 @@ def rooms(
     others. `room_m` is the least side of a room, between the middles of its walls; the others are as of
     `finish_building`.
     """
-    rng = random_stream(seed, "rooms")
-    plan = FloorPlan(width_m, height_m)
+    plan = FloorPlan("rooms", seed, width_m, height_m)
+    rng = plan.stream()
     todo = [(0.0, 0.0, width_m, height_m)]
     while todo:
         rect = todo.pop()
@@ -46,7 +44,7 @@ def rooms(
         if group[a] != group[b] or rng.random() < extra_doors:
             plan.door(a, b, rng.uniform(0.9, 1.2), rng.random())
             group[group == group[b]] = group[a]
-    return finish_building(plan, seed, "rooms", cell_m, furniture, wide_openings, max_loops)
+    return finish_building(plan, cell_m, furniture, wide_openings, max_loops)
 
 
 def _halves(rng: np.random.Generator, rect: Rect, room_m: float) -> list[Rect]:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jexplore.worlds.bounds import MAX_LOOPS
-from jexplore.worlds.generators.draft import WALL_THICK_M, Door, FloorPlan, random_stream, same_place
+from jexplore.worlds.generators.draft import WALL_THICK_M, Door, FloorPlan, same_place
 from jexplore.worlds.generators.furniture import furnish
 from jexplore.worlds.world import World
 
@@ -22,19 +22,17 @@ _AREA_CELL_M = 0.1  # m; cell in which the area is measured: a seed gives the sa
 _OPENINGS, _LOOPS, _WIDTHS, _NICHES = 101, 102, 103, 104  # random streams
 
 
-def corridor_widths(seed: int, kind: str, height_m: float, corridor_m: float, sd_m: float) -> list[float]:
+def corridor_widths(plan: FloorPlan, corridor_m: float, sd_m: float) -> list[float]:
     """Return the width of every corridor, one in every 10 m of depth: all equal, or drawn by a normal distribution."""
-    n = max(1, round(height_m / 10))
+    n = max(1, round(plan.height_m / 10))
     if not sd_m:
         return [corridor_m] * n
-    drawn = random_stream(seed, kind, _WIDTHS).normal(corridor_m, sd_m, n)
+    drawn = plan.stream(_WIDTHS).normal(corridor_m, sd_m, n)
     return np.clip(drawn, _LEAST_M, max(_MOST_M, corridor_m)).tolist()
 
 
 def finish_building(
     plan: FloorPlan,
-    seed: int,
-    kind: str,
     cell_m: float,
     furniture: float,
     wide_openings: float,
@@ -49,18 +47,18 @@ def finish_building(
     closed, but none that would cut off a room. `corridor_sd_m` is the standard deviation of the widths of corridors and
     the depth of constrictions, metres. `flips`: mirrored left to right, and bottom to top.
     """
-    narrow_corridors(plan, seed, kind, corridor_sd_m)
-    limit_loops(plan, seed, kind, max_loops)
-    widen_openings(plan, seed, kind, wide_openings)
-    furnish(plan, seed, kind, furniture)
+    narrow_corridors(plan, corridor_sd_m)
+    limit_loops(plan, max_loops)
+    widen_openings(plan, wide_openings)
+    furnish(plan, furniture)
     return plan.render(cell_m, flips)
 
 
-def narrow_corridors(plan: FloorPlan, seed: int, kind: str, sd_m: float) -> None:
+def narrow_corridors(plan: FloorPlan, sd_m: float) -> None:
     """Stand shafts in the corridors, in one wall, away from doors and ends; their depths are half normal."""
     if not sd_m:
         return
-    rng = random_stream(seed, kind, _NICHES)
+    rng = plan.stream(_NICHES)
     corridors = [number for number, of_kind in enumerate(plan.kinds) if of_kind == "corridor"]
     for number, (x0, y0, x1, y1) in [(i, rect) for i in corridors for rect in plan.rooms[i]]:
         vertical, width = (x1 - x0 < y1 - y0), min(x1 - x0, y1 - y0)
@@ -76,7 +74,7 @@ def narrow_corridors(plan: FloorPlan, seed: int, kind: str, sd_m: float) -> None
                     plan.blocks.append(side.block(low, 0, min(low + length, high), depth + WALL_THICK_M / 2))
 
 
-def limit_loops(plan: FloorPlan, seed: int, kind: str, max_loops: float) -> None:
+def limit_loops(plan: FloorPlan, max_loops: float) -> None:
     """Close doors until a building has at most `max_loops` cycles per 1000 m2 of free area; none that cuts off a room.
 
     The doors of rooms with few doors go first, the ways round by the corridors last. A lower limit closes more.
@@ -85,7 +83,7 @@ def limit_loops(plan: FloorPlan, seed: int, kind: str, max_loops: float) -> None
         return
     pairs = [plan.beside(door) for door in plan.doors]
     n_doors = np.bincount(np.ravel(pairs), minlength=len(plan.rooms))
-    order = random_stream(seed, kind, _LOOPS).permutation(len(pairs)).tolist()
+    order = plan.stream(_LOOPS).permutation(len(pairs)).tolist()
     order.sort(key=lambda i: min(n_doors[list(pairs[i])]))
     group = np.arange(len(plan.rooms))
     tree = set()
@@ -100,11 +98,11 @@ def limit_loops(plan: FloorPlan, seed: int, kind: str, max_loops: float) -> None
     plan.doors[:] = [door for i, door in enumerate(plan.doors) if i not in closed]
 
 
-def widen_openings(plan: FloorPlan, seed: int, kind: str, share: float) -> None:
+def widen_openings(plan: FloorPlan, share: float) -> None:
     """Make openings of a share of the doors, as far as their walls are long enough; of a larger share, of some more."""
     if not share:
         return
-    rng = random_stream(seed, kind, _OPENINGS)
+    rng = plan.stream(_OPENINGS)
     draws = list(zip(rng.permutation(len(plan.doors)).tolist(), rng.uniform(*_OPENING_M, len(plan.doors)).tolist()))
     left = round(share * len(plan.doors))
     for i, width in draws:

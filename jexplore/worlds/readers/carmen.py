@@ -13,8 +13,8 @@ import numpy as np
 
 from jexplore.arrays.files import read_text
 from jexplore.arrays.poses import between, compose
-from jexplore.config import InputError, checked_names, require_number, shown, warn_of_input
-from jexplore.worlds.readers.scans import ScanLog, fold_scans
+from jexplore.config import InputError, checked_names, shown, warn_of_input
+from jexplore.worlds.readers.scans import ScanLog, fold_scans, require_of_scans
 from jexplore.worlds.world import World
 
 _MAX_BYTES = 256 * 2**20
@@ -50,8 +50,7 @@ def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = Non
         than 5 where there is no other.
     """
     path = os.fspath(path)
-    if max_range_m is not None:
-        require_number("max_range_m", max_range_m, low_open=True, high=1000)
+    require_of_scans(path, max_range_m=max_range_m)
     scans, scanner, first, others, said_m, told = [], None, 0, set(), None, []
     for number, line in enumerate(read_text(path, _MAX_BYTES).splitlines(), start=1):
         word = line.split(maxsplit=1)[0] if line.strip() else ""
@@ -117,6 +116,8 @@ def load_carmen(
 
     A cell is free if it was seen and its reflection probability is at most `p_free`; every other is occupied.
     """
+    # Before much is read.
+    require_of_scans(path, p_free=p_free, range_m=range_m, no_echo_m=no_echo_m, max_range_m=max_range_m)
     log = read_carmen(path, max_range_m=max_range_m)
     scans = fold_scans(log, cell_m=cell_m, range_m=range_m, no_echo_m=no_echo_m, name=path)
     return scans.world(p_free=p_free, name=path)

@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image, ImageOps
 
 from jexplore.arrays.files import first_line, read_bytes, told_kind
-from jexplore.config import InputError, warn_of_input
+from jexplore.config import InputError, require_number, warn_of_input
 from jexplore.worlds.readers.grids import resample
 from jexplore.worlds.world import World
 
@@ -39,6 +39,7 @@ def load_image(path: str, scale: float | tuple[float, float], *, cell_m: float =
       cell_m: edge of a cell, metres.
       free: a pixel is free if its grey, 0 to 255, is at least this.
     """
+    require_number(f"{path!r}: free", free, high=255)
     levels = read_pixels(path)[::-1]
     occupied = _occupied(path, levels, free)
     if isinstance(scale, tuple):

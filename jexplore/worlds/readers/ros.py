@@ -101,34 +101,28 @@ def load_ros(
 
 
 def write_ros(
-    grid: World | ArrayLike,
+    occupancy: ArrayLike,
     path: str | os.PathLike[str],
     *,
-    cell_m: float | None = None,
-    origin_m: tuple[float, float] | None = None,
+    cell_m: float = 0.1,
+    origin_m: tuple[float, float] = (0.0, 0.0),
 ) -> Path:
     """Write a ROS map that `read_ros` and the map servers read back unchanged: a yaml file and a PGM next to it.
 
     The mode is trinary if every value is -1, 0 or 100, else raw. Returns the path of the picture.
 
     Args:
-      grid: a `World`, or an occupancy `[H, W]` of integers from -1 to 100 (or bool, True is occupied), row 0 at the
-        bottom.
+      occupancy: `[H, W]` integers from -1 to 100, or bool, True is occupied; row 0 at the bottom.
       path: the yaml file to write. The picture gets its name with the suffix `.pgm`.
-      cell_m: edge of a cell, metres. Default: the world's, or 0.1.
-      origin_m: x, y of the lower left corner, metres. Default: the world's, or 0, 0.
+      cell_m: edge of a cell, metres.
+      origin_m: x, y of the lower left corner, metres.
     """
     path = Path(path)
     if path.suffix.lower() not in (".yaml", ".yml"):
         raise InputError(f"{str(path)!r}: the file to write must end in .yaml")
-    default_m, default_origin_m = (grid.cell_m, grid.origin_m) if isinstance(grid, World) else (0.1, (0.0, 0.0))
-    cell_m = float(default_m if cell_m is None else cell_m)
-    require_number("cell_m", cell_m, low=LEAST_PIXEL_M, high=MOST_PIXEL_M)
-    x_m, y_m = (
-        require_number("origin_m", float(value), low=-_FAR_M, high=_FAR_M)
-        for value in (default_origin_m if origin_m is None else origin_m)
-    )
-    occupancy = require_occupancy("occupancy", grid.occupied if isinstance(grid, World) else grid)
+    require_number("cell_m", float(cell_m), low=LEAST_PIXEL_M, high=MOST_PIXEL_M)
+    x_m, y_m = (require_number("origin_m", float(value), low=-_FAR_M, high=_FAR_M) for value in origin_m)
+    occupancy = require_occupancy("occupancy", occupancy)
     occupancy = np.where(occupancy, 100, 0) if occupancy.dtype.kind == "b" else occupancy
     trinary = bool(np.isin(occupancy, (-1, 0, 100)).all())
     if trinary:

@@ -5,6 +5,8 @@ any heading.
 """
 
 import dataclasses
+import math
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +17,21 @@ from jexplore.raycast import advance_beams, beam_geometry, exact_direction, n_st
 from jexplore.worlds.bounds import require_side
 from jexplore.worlds.world import World
 
+_BELIEVED = {"low_open": True, "high": 1000}
+_BOUNDS: dict[str, dict[str, Any]] = {
+    "p_free": {"high": 1, "high_open": True},
+    "range_m": _BELIEVED,
+    "max_range_m": _BELIEVED,
+    "no_echo_m": {"high": 1000},
+}
 _TOGETHER = 2**18  # beams that are traced at a time
+
+
+def require_of_scans(what: str, **given: Any) -> None:
+    """Refuse parameters of recorded scans that are out of bounds; None stands for a default."""
+    for name, value in given.items():
+        if value is not None:
+            require_number(f"{what!r}: {name}", value, **_BOUNDS[name])
 
 
 @checked_names
@@ -46,7 +62,7 @@ class ScanLog:
             if array.shape != shape or not array.size or array.dtype.kind not in "fiu" or not finite:
                 expected = f"finite numbers of shape {list(shape)}" if n * n_beams else "readings [N, B]"
                 raise InputError(f"{name} of a ScanLog must be {expected}, got {array.dtype} {list(array.shape)}")
-        require_number("max_range_m of a ScanLog", self.max_range_m, low_open=True, high=1000)
+        require_of_scans("ScanLog", max_range_m=self.max_range_m)
 
     @property
     def echo(self) -> np.ndarray:
@@ -77,7 +93,7 @@ class ScanMap:
 
         `p_free` is the largest reflection probability of a free cell. The start is the robot's, if that cell is free.
         """
-        require_number("p_free", p_free, high=1, high_open=True)
+        require_of_scans(name or "scans", p_free=p_free)
         occupied = ~np.asarray(is_free(self.grid, p_free))
         if occupied.all():
             raise InputError(f"{name or 'scans'!r}: no cell is free at p_free = {p_free:g}")
@@ -114,10 +130,8 @@ def fold_scans(
       Holz et al. 2010, section 2.1; Amanatides and Woo 1987.
     """
     require_setting("cell_m", cell_m)
-    require_number("no_echo_m", no_echo_m, high=1000)
-    longest_m = log.max_range_m
-    if range_m is not None:
-        longest_m = min(longest_m, require_number("range_m", range_m, low_open=True, high=1000))
+    require_of_scans(name, no_echo_m=no_echo_m, range_m=range_m)
+    longest_m = min(log.max_range_m, range_m or math.inf)
     at, angle = np.round(log.poses[:, :2] / cell_m, 9), log.poses[:, 2:] + log.angles_rad  # x and y in cells
     ends = log.echo & (log.ranges < longest_m)
     # Up to here a beam enters cells: to where it ends, that included, or to where it is no longer believed, exclusive.
