@@ -36,6 +36,7 @@ def parsed(name):
         ("map.pgm@0.05", ("image", "map.pgm", 0, 0.05, {})),
         ("map.tiff@0.05:free=150", ("image", "map.tiff", 0, 0.05, {"free": 150})),
         ("map.tif:free=1.5", ("image", "map.tif", 0, None, {"free": 1.5})),
+        ("plan.json", ("HouseExpo", "plan.json", 0, None, {})),
         (".png@1", ("image", ".png", 0, 1.0, {})),
     ],
 )  # fmt: skip
@@ -50,7 +51,7 @@ def test_names_by_pencil(name, expected):
         ("C:/maps/map.pgm", "C:/maps/map.pgm", None),
         ("x.png@2/map.png@0.05", "x.png@2/map.png", 0.05),
         ("map@0.05.png", "map@0.05.png", None),
-        ("plan.yaml.png@1", "plan.yaml.png", 1.0),
+        ("plan.json.png@1", "plan.json.png", 1.0),
         ("cave#3.png@1", "cave#3.png", 1.0),
     ],
 )

@@ -1,6 +1,7 @@
 """Readers of map files, and the resampling below them."""
 
 import itertools
+import json
 import math
 import struct
 import zlib
@@ -20,10 +21,10 @@ from skimage.measure import points_in_poly
 from jexplore.config import InputWarning
 from jexplore.worlds import load_world
 from jexplore.worlds.bounds import MAX_SIDE
-from jexplore.worlds.readers.grids import require_upright, resample
+from jexplore.worlds.readers import houseexpo
+from jexplore.worlds.readers.grids import inside_polygon, require_upright, resample
 from jexplore.worlds.readers.images import grey, load_image, read_pixels, transparency
 from jexplore.worlds.readers.ros import load_ros, read_ros, write_ros
-from jexplore.worlds.restrict import inside_polygon
 from jexplore.worlds.starts import check_start, start_region
 
 pictures = hnp.arrays(bool, st.tuples(st.integers(1, 9), st.integers(1, 9)))
@@ -264,7 +265,7 @@ def test_of_several_frames_the_first_is_read_and_said(tmp_path, name):
         assert grey(read_pixels(str(tmp_path / name))).tolist() == [[0, 255]]
 
 
-@pytest.mark.parametrize("name", ["m.yaml", "m.log", "m.png@0.1", "m.db3"])
+@pytest.mark.parametrize("name", ["m.yaml", "m.log", "m.json", "m.png@0.1", "m.db3"])
 def test_a_file_of_another_kind_is_told_what_it_is(tmp_path, name):
     for content, said in (
         (b"#ROSBAG V2.0\n", "a bag of ROS 1, whose name must end in .bag"),
@@ -532,25 +533,107 @@ def test_bad_things_to_write_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("name", "line"),
     [
+        ("p.json@0.1", "a HouseExpo file has its own scale"),
+        ("p.json:free=1", "no parameter 'free'; it takes inside, inside_x_m, inside_y_m"),
         ("m.yaml@0.1", "a ROS file has its own scale"),
         ("m.yaml:free=3", "no parameter 'free'; it takes free_max, occupied_min"),
         ("m.yaml:free_max=3", "free_max and occupied_min are for the modes scale and raw; in"),
     ],
 )
 def test_a_scale_or_parameter_of_another_format_is_refused(tmp_path, name, line):
+    plan(tmp_path / "p.json", SQUARE)
     ros_map(tmp_path, [[254]])
     refused(line, load_world, f"{tmp_path / name}")
 
 
+# --- HouseExpo
+
+
+def plan(path, verts, rooms=None, **more):
+    """Write a plan with the keys that HouseExpo has."""
+    low, high = np.min(verts, axis=0).tolist(), np.max(verts, axis=0).tolist()
+    keys = {"id": "0", "room_num": 1, "bbox": {"min": low, "max": high}, "verts": verts, "room_category": rooms or {}}
+    path.write_text(json.dumps(keys | more))
+    return path
+
+
+def test_houseexpo_by_pencil(tmp_path):
+    square = [[1.0, 2.0], [1.55, 2.0], [1.55, 2.35], [1.0, 2.35]]
+    world = load_world(plan(tmp_path / "p.json", square))
+    inside = np.ones((4, 6), bool)
+    inside[1:3, 1:5] = False
+    assert np.array_equal(world.occupied, inside)
+    assert world.origin_m == (1.0, 2.0)
+    assert world.rooms is None
+    closed = load_world(plan(tmp_path / "p.json", [*square, square[0]]))
+    assert np.array_equal(closed.occupied, inside)
+    assert np.array_equal(load_world(plan(tmp_path / "p.json", square[::-1])).occupied, inside)
+
+
+def test_houseexpo_rooms_are_the_boxes(tmp_path):
+    rooms = {"Hall": [[0, 0, 1, 0.5]], "Bedroom": [[0.3, 0.0, 0.5, 0.5], [0.9, 0.5, 0.3, 0.3]]}
+    world = load_world(plan(tmp_path / "p.json", [[0, 0], [0.95, 0], [0.95, 0.55], [0, 0.55]], rooms))
+    assert world.shape == (6, 10)
+    # the hall (0) is the largest; boxes 1 (0.10 m2) and 2 (0.12 m2, its corners the other way round) lie over it
+    assert world.rooms.tolist() == [
+        [-1] * 10,
+        [-1, 0, 0, 1, 1, 0, 0, 0, 0, -1],
+        [-1, 0, 0, 1, 1, 0, 0, 0, 0, -1],
+        [-1, 0, 0, 1, 1, 2, 2, 2, 2, -1],
+        [-1, 0, 0, 1, 1, 2, 2, 2, 2, -1],
+        [-1] * 10,
+    ]
+    assert world.rooms.dtype == np.int32
+
+
 @settings(deadline=None, max_examples=30)
-@given(st.integers(3, 9), st.integers(0, 10**6))
-def test_the_inside_of_a_polygon_is_an_oracles(n, seed):
+@given(st.integers(3, 9), st.integers(0, 10**6), st.sampled_from([0.05, 0.1, 0.23]))
+def test_houseexpo_inside_and_outline_agree_with_oracles(n, seed, cell_m):
+    """A star of n points: free cells have their centres inside; points along the outline lie in occupied cells."""
     rng = np.random.default_rng(seed)
     angle = np.sort(rng.random(n)) * 2 * np.pi
-    corners = 20 + rng.uniform(5, 20, n)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    y, x = np.indices((40, 40)).reshape(2, -1) + 0.5
-    expected = points_in_poly(np.stack([x, y], axis=1), corners).reshape(40, 40)
-    assert np.array_equal(inside_polygon(corners, np.arange(40) + 0.5, np.arange(40) + 0.5), expected)
+    verts = (rng.uniform(0.5, 2, n)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)).round(3)
+    corners = (verts - verts.min(axis=0)) / cell_m
+    cols, rows = (np.floor(corners.max(axis=0)) + 1).astype(int)
+    outline = houseexpo._outline(corners, (rows, cols))
+    inside = inside_polygon(corners, np.arange(cols) + 0.5, np.arange(rows) + 0.5)
+    y, x = np.indices((rows, cols)).reshape(2, -1) + 0.5
+    expected = points_in_poly(np.stack([x, y], axis=1), corners).reshape(rows, cols)
+    assert np.array_equal(inside | outline, expected | outline)
+    t = np.linspace(0, 1, 200)[:, None]
+    for a, b in zip(corners, np.roll(corners, -1, axis=0)):
+        col, row = np.floor(a + (b - a) * t).astype(int).clip(0, [cols - 1, rows - 1]).T
+        assert outline[row, col].all()
+    occupied = outline | ~inside
+    assert occupied[[0, -1]].all()
+    assert occupied[:, [0, -1]].all()
+
+
+SQUARE = [[0, 0], [2, 0], [2, 2], [0, 2]]
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("", "is empty"),
+        ("{", "is not valid JSON"),
+        ("[" * 100000, "more than 100 deep"),
+        ("[]", "is not a HouseExpo plan; expected an object with the key 'verts'"),
+        ('{"verts": []}', "verts must be at least 3 points"),
+        ('{"verts": [[0, 0], [1, 1]]}', "verts must be at least 3 points .* got 2"),
+        ('{"verts": [[0, 0], [1, 1], [2]]}', "verts must be a list of .metres, metres."),
+        ('{"verts": [[0, 0], [1, 1], [2, NaN]]}', "verts must be a list"),
+        ('{"verts": [[0, 0], [1, 1], [2, "a"]]}', "verts must be a list"),
+        ('{"verts": [[0, 0], [1, 0], [2, 1e300]]}', "verts must be a list"),
+        ('{"verts": [[0, 0], [1, 0], [2, 410]]}', "4101 x 21 cells are more than 4096"),
+        ('{"verts": [[0, 0], [0, 0], [0, 0]]}', "no cell is free at cell_m = 0.1"),
+        (json.dumps({"verts": SQUARE, "room_category": [1]}), "room_category must map names to lists of boxes"),
+        (json.dumps({"verts": SQUARE, "room_category": {"A": [[1, 2, 3]]}}), "room_category 'A' must be a list"),
+    ],
+)
+def test_bad_plans_are_refused(tmp_path, text, line):
+    (tmp_path / "p.json").write_text(text)
+    refused(line, load_world, tmp_path / "p.json")
 
 
 # --- real maps

@@ -234,7 +234,7 @@ def test_a_start_depends_on_seed_and_number_alone():
         ("cave", "cave#0", "cave#1"),
         ("cave:width_m=9", "cave#0:width_m=9", "cave:width_m=8"),
         ("a.png@0.05", "/some/where/a.png@0.05", "a.png@0.1"),
-        ("maps/plan.yaml", "C:\\maps\\plan.yaml", "maps/plans.yaml"),
+        ("maps/plan.json", "C:\\maps\\plan.json", "maps/plans.json"),
     ],
 )
 def test_one_world_has_one_name_as_far_as_starts_go(name, same, other):

@@ -24,7 +24,7 @@ class Worlds(OutOptions):
 
     worlds: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="[NAME ...]")] = ()
     """Measure these worlds: generators such as cave#3, or map files: map.yaml (ROS), map.png@16x16 (metres),
-    map.png@0.05 (metres a pixel), scans.log (CARMEN), run.bag (ROS)."""
+    map.png@0.05 (metres a pixel), plan.json (HouseExpo), scans.log (CARMEN), run.bag (ROS)."""
     cell_m: float = 0.1
     """Make the edge of a cell this long, in metres."""
     geometry: bool = False
@@ -45,8 +45,8 @@ class Worlds(OutOptions):
                 show_line(f"  {name:<10}{defaults}", indent=12)
             print()
             show_line(
-                "Map files: map.yaml (ROS), map.png@16x16 (metres), map.png@0.05 (metres a pixel), scans.log, "
-                "run.bag, run.mcap"
+                "Map files: map.yaml (ROS), map.png@16x16 (metres), map.png@0.05 (metres a pixel), plan.json, "
+                "scans.log, run.bag, run.mcap"
             )
             return None
         from jexplore.engine.backend import use_compilation_cache

@@ -84,7 +84,8 @@ def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
     """Load the world of a name: a generated one, or one read from a map file.
 
     `cave`, `cave#3`, `hospital#2:width_m=60,height_m=25`, `map.yaml`, `map.png@16x16`, `map.png@0.05:free=150`,
-    `scans.log`, `run.bag:topic=/map`: `names.parse_name` has the grammar, the readers say what a file means.
+    `plan.json`, `scans.log`, `run.bag:topic=/map`: `names.parse_name` has the grammar, the readers say
+    what a file means.
 
     Args:
       name: world name or path.

@@ -2,7 +2,7 @@
 
     generator[#seed][:key=value,...]        cave   cave#3   hospital#2:width_m=60,height_m=25
     module:function[#seed][:key=value,...]  mine:plan   mine:plan#3:doors=2
-    file[@scale][:key=value,...]            map.yaml   map.png@16x16   map.png@0.05:free=150
+    file[@scale][:key=value,...]            map.yaml   map.png@16x16   map.png@0.05:free=150   plan.json
                                             scans.log   scans.log:range_m=20   run.mcap   run.bag:topic=/map,free_max=49
 
 A name is a file if one of the known suffixes ends it or is followed by `@` or `:`; it is then cut there. A path may
@@ -41,6 +41,7 @@ FILES = {
         "map.png@16x16, map.png@0.05",
         "a picture, with its sides in metres or its metres a pixel",
     ),
+    "HouseExpo": FileKind(("json",), "houseexpo:load_houseexpo", "plan.json", "a HouseExpo plan"),
     "CARMEN": FileKind(("log", "clf"), "carmen:load_carmen", "scans.log", "a CARMEN log"),
     "ROS bag": FileKind(("bag", "db3", "mcap"), "bags:load_bag", "run.bag, run.mcap", "a ROS bag"),
 }

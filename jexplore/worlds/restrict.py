@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from jexplore.config import InputError
 from jexplore.worlds.poses import Polygon, read_polygon
-from jexplore.worlds.readers.grids import FREE_MAX, OCCUPIED_MIN, require_upright
+from jexplore.worlds.readers.grids import FREE_MAX, OCCUPIED_MIN, inside_polygon, require_upright
 from jexplore.worlds.readers.ros import read_ros
 from jexplore.worlds.readers.scans import ScanMap
 from jexplore.worlds.world import World
@@ -38,16 +38,6 @@ def stay_within(world: World, polygon_m: str | Polygon) -> World:
             f"{x[0]:.1f},{y[0]:.1f} to {x[-1]:.1f},{y[-1]:.1f} m"
         )
     return world.replace(within=inside if world.within is None else inside & world.within)
-
-
-def inside_polygon(corners: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return `[len(y), len(x)]` bool: points inside a polygon `[n, 2]`, by the even-odd rule."""
-    inside = np.zeros((len(y), len(x)), bool)
-    for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0)):
-        if y0 != y1:  # the edge crosses the rows between its ends, and turns round what lies to its left
-            rows = (y0 <= y) != (y1 <= y)
-            inside[rows] ^= x < (x0 + (y[rows] - y0) / (y1 - y0) * (x1 - x0))[:, None]
-    return inside
 
 
 def with_known(world: World, map_: KnownMap) -> World:

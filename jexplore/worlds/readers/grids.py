@@ -1,4 +1,4 @@
-"""From pixels to cells, and from occupancy grids of ROS to free cells; nothing here ever opens a wall.
+"""From pixels and polygons to cells, and from occupancy grids of ROS to free cells; nothing here ever opens a wall.
 
 A cell is occupied if any occupied pixel overlaps it, whichever of the two is larger. Two free cells side by side
 then lie over pixels that are free and connected side by side: what was apart in the picture stays apart in the world,
@@ -91,3 +91,13 @@ def _overlapped(occupied: np.ndarray, pixel_m: float, cell_m: float) -> np.ndarr
     for k in range(len(first)):
         occupied[first[k] : last[k]].any(axis=0, out=out[k])
     return out
+
+
+def inside_polygon(corners: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return `[len(y), len(x)]` bool: points inside a polygon `[n, 2]`, by the even-odd rule."""
+    inside = np.zeros((len(y), len(x)), bool)
+    for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0)):
+        if y0 != y1:  # the edge crosses the rows between its ends, and turns round what lies to its left
+            rows = (y0 <= y) != (y1 <= y)
+            inside[rows] ^= x < (x0 + (y[rows] - y0) / (y1 - y0) * (x1 - x0))[:, None]
+    return inside
