@@ -203,9 +203,7 @@ def checked_names(called: _Called, own: str = "") -> _Called:
 
 
 def _checked_function(function, own=""):
-    """Make unknown keyword arguments of a function an `InputError`, once."""
-    if function in _CHECKED:
-        return function
+    """Make unknown keyword arguments of a function an `InputError`."""
     parameters = inspect.signature(function).parameters
     kinds = {parameter.kind for parameter in parameters.values()}
     known = [name for name, parameter in parameters.items() if parameter.kind not in _NAMELESS]
@@ -220,11 +218,9 @@ def _checked_function(function, own=""):
                 raise _unknown_argument(own or _name_of(function), name, known, parameters)
         return function(*args, **kwargs)
 
-    _CHECKED.add(checked)
     return checked
 
 
-_CHECKED: set[Callable[..., Any]] = set()
 MIN_NAME_LIKENESS = 0.65  # share of letters in common with the name that was meant; resolution and elevation: 0.63
 _NAMELESS = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.VAR_POSITIONAL)
 

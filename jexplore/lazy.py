@@ -1,20 +1,14 @@
 """Names of a module that are loaded when they are first used: written once, in a stub that type checkers read as well.
 
-Functions and classes of a stub refuse keyword arguments that they do not take, see `config.checked_names`.
-
 A line of the stub is `from jexplore.config import Lidar as Lidar`; `# extra` at its end says that it needs a package
 that may be missing.
 """
 
-import enum
 import importlib
 import os
 import sys
-import types
 from collections.abc import Callable
 from typing import Any, NamedTuple
-
-from jexplore.config import checked_names
 
 
 class Lazy(NamedTuple):
@@ -49,18 +43,8 @@ def read_stub(module: str, stub: str) -> Lazy:
             if name not in extras:
                 raise
             raise AttributeError(f"module {module!r} has no attribute {name!r} here: {error}") from None
-        for module_name, own_name in home.values():  # also of classes whose objects only functions make
-            thing: Any = vars(sys.modules.get(module_name, object)).get(own_name)
-            if _takes_arguments(thing):
-                setattr(sys.modules[module_name], own_name, checked_names(thing))
         if name not in there:  # a folder is there once it has been imported
             there[name] = getattr(found, own)
         return there[name]
 
     return Lazy({name: source.removeprefix("jexplore.") for name, (source, _) in home.items()}, extras, get)
-
-
-def _takes_arguments(thing: Any) -> bool:
-    if isinstance(thing, type):
-        return not issubclass(thing, (Exception, enum.Enum))
-    return isinstance(thing, types.FunctionType)

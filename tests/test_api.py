@@ -100,21 +100,6 @@ def test_an_unknown_keyword_argument_is_told_with_the_nearest():
     assert checked > 50
 
 
-@pytest.mark.slow
-def test_classes_whose_objects_functions_make_are_checked_too():
-    code = """
-import jexplore as jx
-jx.compare
-from jexplore.studies.results.comparison import ComparisonResult
-try:
-    ComparisonResult.plot(None, wrong=1)
-except jx.InputError as error:
-    print(error)
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert "unknown argument of plot: 'wrong'" in done.stdout
-
-
 @pytest.mark.parametrize(
     ("call", "hint"),
     [
