@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any, NamedTuple
@@ -151,17 +150,16 @@ class NativeRun(OwnRuns):
         """Return the episodes that have not come back, for `threads.share_out`."""
         left = self.left
 
-        def call(first: int, n: int) -> tuple[episodes.Played, float]:
-            began, numbers = time.perf_counter(), left[first : first + n]
+        def call(first: int, n: int) -> episodes.Played:
+            numbers = left[first : first + n]
             at, paths = np.flatnonzero(numbers == self.detailed), self.keep is not None
-            found = self.place.inner.play(
+            return self.place.inner.play(
                 self.tasks[numbers],
                 self.stop,
                 paths=paths,
                 states=self.keep == "maps",
                 whole=int(at[0]) if at.size else -1,
             )
-            return found, time.perf_counter() - began
 
         def keep(first: int, n: int, found: episodes.Played) -> None:
             self.put(left[first : first + n], found)
