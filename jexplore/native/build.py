@@ -55,24 +55,28 @@ def warn_once(why_not: str, instead: str = "JAX does without native code") -> No
     warnings.warn(f"{why_not}: {instead}, with the same results", InputWarning, stacklevel=3)
 
 
-def find_compiler() -> list[str]:
-    """Return the command of a C++ compiler: `$CXX` (ValueError at an open quote), the first of `COMPILERS`, or none."""
-    own = shlex.split(os.environ.get("CXX", ""))
-    return own or [path for path in map(shutil.which, COMPILERS) if path][:1]
+def find_compiler(variable: str = "CXX", names: Sequence[str] = COMPILERS) -> list[str]:
+    """Return a compiler's command: that of a variable (ValueError at an open quote), the first of some, or none."""
+    own = shlex.split(os.environ.get(variable, ""))
+    return own or [path for path in map(shutil.which, names) if path][:1]
 
 
-def load_library(sources: Sequence[Path], flags: Sequence[str] = ()) -> Library:
-    """Load a C++ library, built if missing, once in a process for each compiler; of `sources` the first is compiled.
+def load_library(
+    sources: Sequence[Path], flags: Sequence[str] = (), variable: str = "CXX", names: Sequence[str] = COMPILERS
+) -> Library:
+    """Load a library, built if missing, once in a process for each compiler; of `sources` the first is compiled.
 
-    Without a library if the compiler is missing, building fails, or nothing can be written.
+    Those in C++ are built with `FLAGS`, too. Without a library if the compiler is missing, building fails, or nothing
+    can be written.
     """
     try:
-        compiler = tuple(find_compiler())
+        compiler = find_compiler(variable, names)
     except ValueError as error:
-        return Library(None, f"CXX must be a command, got {os.environ['CXX']!r}: {str(error).lower()}")
+        return Library(None, f"{variable} must be a command, got {os.environ[variable]!r}: {str(error).lower()}")
+    what, common = ("C++ compiler", FLAGS) if variable == "CXX" else (names[0], ())
     if not compiler:
-        return Library(None, f"no C++ compiler was found: expected one of {', '.join(COMPILERS)}, or its name in CXX")
-    return build_library(tuple(sources), (*compiler, *FLAGS, *flags))
+        return Library(None, f"no {what} was found: expected one of {', '.join(names)}, or its name in {variable}")
+    return build_library(tuple(sources), (*compiler, *common, *flags))
 
 
 @functools.lru_cache(maxsize=16)
