@@ -3,13 +3,12 @@
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jexplore.engine.runner import OwnRuns
-from jexplore.engine.threads import Pieces
+from jexplore.engine.threads import Pieces, share_out
 from jexplore.exploration.motion import clock_table
 from jexplore.exploration.site import ROBOT, regions_of, rule_numbers, tasks_of
 from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result
@@ -192,10 +191,10 @@ class NativeRun(OwnRuns):
                 self.records[int(number)] = kept
 
 
-def play_on_gpu(runs: Sequence[NativeRun], tell: Callable[[], object]) -> str:
+def play_on_gpu(runs: Sequence[NativeRun], tell: Callable[[int], object]) -> list[str]:
     """Run large groups on a GPU; episodes that it gives up, or that are kept whole, are left for the CPU.
 
-    `tell` is called when some have come. Returns why not, a line; "" where it did, or had nothing to do.
+    `tell` is called when some have come. Returns why some did not: lines.
     """
     by_place: dict[int, list[NativeRun]] = {}
     for run in runs:
@@ -203,44 +202,31 @@ def play_on_gpu(runs: Sequence[NativeRun], tell: Callable[[], object]) -> str:
             by_place.setdefault(id(run.place), []).append(run)
     groups = [group for group in by_place.values() if sum(len(run.which) for run in group) >= GPU_FROM]
     if not groups or not gpu.device_count():
-        return ""
-    found, why_not, stop = gpu.load_gpu(), "", np.zeros(1, np.int32)
-    if found.loaded is None:
-        return _told(found.why_not)
-    with ThreadPoolExecutor(1) as pool:  # the calling thread hears Ctrl-C
-        for group in groups:
-            place, numbers = group[0].place, [run.left[run.left != run.detailed] for run in group]
-            tasks = np.concatenate([run.tasks[own] for run, own in zip(group, numbers)])
-            future = pool.submit(gpu.play, found.loaded, place.spec, place.given, tasks, stop)
-            try:
-                wait([future])
-            except BaseException:
-                stop[0] = 1
-                raise
-            finally:
-                why_not = _put_all(group, numbers, future) or why_not
-            tell()
+        return []
+    (loaded, why, _), stop, why_not = gpu.load_gpu(), np.zeros(1, np.int32), list[str]()
+    left = [[run.left[run.left != run.detailed] for run in group] for group in groups]
+
+    def call(i: int, _: int) -> gpu.Played | None:
+        assert loaded is not None
+        place, tasks = groups[i][0].place, [run.tasks[own] for run, own in zip(groups[i], left[i])]
+        try:
+            return gpu.play(loaded, place.spec, place.given, np.concatenate(tasks), stop)
+        except (MemoryError, RuntimeError) as error:
+            why_not.append(str(error))
+
+    def keep(i: int, _: int, played: gpu.Played | None) -> None:
+        ends = np.cumsum([len(own) for own in left[i]])
+        parts = [] if played is None else np.split(played.results, ends[:-1])
+        for run, own, results in zip(groups[i], left[i], parts):
+            run.put(own, episodes.Played(results, None, None, None, None), ON_GPU)
+
+    if loaded is None:
+        why_not.append(why)
+    else:  # in a thread: the calling one hears Ctrl-C
+        share_out([Pieces(len(groups), 1, call, keep)], 1, tell, lambda: stop.fill(1))
+    for line in why_not:
+        warn_once(line, "the CPU's cores run the episodes")
     return why_not
-
-
-def _told(why_not: str) -> str:
-    """Say once why a GPU does not run episodes."""
-    warn_once(why_not, "the CPU's cores run the episodes")
-    return why_not
-
-
-def _put_all(group: Sequence[NativeRun], numbers: Sequence[np.ndarray], future: Future[gpu.Played | None]) -> str:
-    """Keep what a GPU has found for some runs, once it has; return why it could not go on, or ""."""
-    try:
-        played = future.result()
-    except (MemoryError, RuntimeError) as error:
-        return _told(str(error))
-    at = 0
-    for run, own in zip(group, numbers):
-        if played is not None:
-            run.put(own, episodes.Played(played.results[at : at + len(own)], None, None, None, None), ON_GPU)
-        at += len(own)
-    return ""
 
 
 def show_episode(
