@@ -16,7 +16,7 @@ from jexplore.exploration.trail import Final, Record, decode, record_of
 from jexplore.native import episodes, gpu
 from jexplore.native.build import warn_once
 from jexplore.native.episodes import trace_beams
-from jexplore.policies.closest import is_nearest
+from jexplore.policies.closest import closest, is_nearest
 from jexplore.policies.policy import Strategy
 from jexplore.policies.uniform import is_uniform
 from jexplore.raycast import scans_all_round
@@ -30,14 +30,7 @@ GPU_FROM = 4096
 ON_GPU, ON_CPU = "native on a GPU", "native on a CPU"
 _MEASURES = [field.name for field in dataclasses.fields(Result) if field.name not in ("metrics", "way_m", "ride")]
 _OUTCOME = _MEASURES.index("outcome")
-_WIDTHS = {
-    "straight_at": len(PERCENTILES),
-    "diagonal_at": len(PERCENTILES),
-    "straight_along": MARKS,
-    "diagonal_along": MARKS,
-    "time_at": len(PERCENTILES),
-    "time_along": MARKS,
-}
+_WIDTHS = {"at": len(PERCENTILES), "along": MARKS}  # of measures whose names end so; of others 1
 
 
 def chooser_of(strategy: Strategy) -> int | None:
@@ -74,18 +67,16 @@ def native_place(
     lidar: Lidar,
     rules: Rules,
     robot: Robot = ROBOT,
-    *,
-    is_replay: bool = False,
 ) -> NativePlace:
-    """Make a world ready for episodes in native code, or for replays, of any strategy: these take recorded targets."""
-    whole, chooser = with_ring(world), None if is_replay else chooser_of(strategy)
+    """Make a world ready for episodes of a strategy in native code."""
+    whole = with_ring(world)
     spec = episodes.Spec(
         height=whole.shape[0],
         width=whole.shape[1],
         n_beams=lidar.n_beams,
         first_scans=scans_all_round(lidar),
         recheck=strategy.recheck,
-        chooser=episodes.NEAREST if chooser is None else chooser,
+        chooser=chooser_of(strategy),
         clock=clock_table(robot, whole.cell_m, max(whole.shape)),
         **rule_numbers(whole, lidar, rules),
     )
@@ -99,13 +90,10 @@ def native_place(
 
 def result_of(table: np.ndarray) -> Result:
     """Return the `Result` of integers as the library writes them: `[..., RESULT]` int32."""
-    parts: dict[str, np.ndarray] = {}
-    at = 0
-    for name in _MEASURES:
-        width = _WIDTHS.get(name)
-        parts[name] = table[..., at] if width is None else table[..., at : at + width]
-        at += width or 1
-    return Result(**parts)  # type: ignore[arg-type]  # numpy on the host
+    widths = [_WIDTHS.get(name.rpartition("_")[2], 0) for name in _MEASURES]
+    parts = np.split(table, np.cumsum(np.maximum(widths, 1))[:-1], axis=-1)
+    named = {name: part if n else part[..., 0] for name, n, part in zip(_MEASURES, widths, parts)}
+    return Result(**named)  # type: ignore[arg-type]  # numpy on the host
 
 
 @dataclasses.dataclass
@@ -252,18 +240,10 @@ def show_episode(
     if not is_exact(lidar) or found.loaded is None or final.plans is None:
         return None
     rules = dataclasses.replace(rules, max_steps=max(len(final.rows) - 1, 1), max_plans=None)
-    place, ring = (
-        native_place(found.loaded, world, strategy, lidar, rules, is_replay=True).inner,
-        ring_of(world.occupied),
-    )
+    # Instead of the nearest cells it has recorded targets.
+    place, *_, ring = native_place(found.loaded, world, strategy._replace(policy=closest()), lidar, rules)
     made = [plan for plan in final.plans if plan.target is not None]
-    script = episodes.Script(
-        targets=np.array([plan.target for plan in made], np.int32).reshape(-1, 2) + ring,
-        is_view=np.array([plan.is_view for plan in made], bool),
-        motions=[plan.motions for plan in made],
-        looked=final.looked,
-    )
     task = place.tasks(tasks_of(np.asarray([start]), ring), 0, np.zeros(1, np.int32))
-    codes, headings = place.replay(task, script, np.asarray(shown), frontier)
+    codes, headings = place.replay(task, made, ring, final.looked, np.asarray(shown), frontier)
     height, width = world.shape
     return codes[:, ring : ring + height, ring : ring + width], headings

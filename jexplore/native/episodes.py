@@ -2,6 +2,7 @@
 
 import ctypes
 import functools
+from collections.abc import Sequence
 from ctypes import POINTER, Structure, c_float, c_int, c_int32, c_int64, c_uint8, c_void_p
 from typing import Any, NamedTuple
 
@@ -89,15 +90,6 @@ class _Replay(Structure):
         ("motions", c_void_p), ("looked", c_void_p), ("n_shown", c_int64), ("shown", c_void_p), ("frontier", c_uint8),
         ("codes", c_void_p), ("headings", c_void_p),
     ]  # fmt: skip
-
-
-class Script(NamedTuple):
-    """A recorded episode."""
-
-    targets: np.ndarray  # [P, 2] int, row and col of each plan, in the world with its ring
-    is_view: np.ndarray  # [P] bool, whether it is a view point
-    motions: list[list[int]]  # of each plan, the one that was refused included
-    looked: np.ndarray  # [steps + 1] int, scans made in place
 
 
 class Given(NamedTuple):
@@ -225,23 +217,26 @@ class World:
         return None if code else results
 
     def replay(
-        self, task: np.ndarray, script: Script, shown: np.ndarray, frontier: int
+        self, task: np.ndarray, plans: Sequence[Any], ring: int, looked: np.ndarray, shown: np.ndarray, frontier: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Show a recorded episode as the robot leaves some places, `[F]` numbers of steps: `(codes, headings)`.
+
+        `plans`: those with a target, of `exploration.trail.Plan`, in a world without this ring; `looked`: `[steps + 1]`
+        int, scans made in place.
 
         `codes`: `[F, H, W]` uint8, 0 unknown, 1 free, 2 occupied, `frontier` more where a frontier cell can be reached.
         `headings`: `[F]` int32, units of 45 degrees, at the last scan there.
         """
         keep: list[Any] = []
         codes, headings = np.zeros((len(shown), *self.shape), np.uint8), np.zeros(len(shown), np.int32)
-        targets = np.asarray(script.targets, np.int32).reshape(-1, 2)
-        motions = np.array([motion for plan in script.motions for motion in plan], np.int8)
+        targets = np.array([plan.target for plan in plans], np.int32).reshape(-1, 2) + np.int32(ring)
+        motions = np.array([motion for plan in plans for motion in plan.motions], np.int8)
         found = self._loaded.jexplore_replay(self._handle, ctypes.byref(_Replay(
             task=_pointer(task, TASK, keep), n_plans=len(targets),
             targets=_pointer(targets[:, 0] * self.shape[1] + targets[:, 1], np.int32, keep),
-            is_view=_pointer(script.is_view, np.uint8, keep),
-            ends=_pointer(np.cumsum([len(plan) for plan in script.motions]), np.int64, keep),
-            motions=_pointer(motions, np.int8, keep), looked=_pointer(script.looked, np.int32, keep),
+            is_view=_pointer(np.array([plan.is_view for plan in plans]), np.uint8, keep),
+            ends=_pointer(np.cumsum([len(plan.motions) for plan in plans]), np.int64, keep),
+            motions=_pointer(motions, np.int8, keep), looked=_pointer(looked, np.int32, keep),
             n_shown=len(shown), shown=_pointer(shown, np.int32, keep), frontier=frontier,
             codes=codes.ctypes.data, headings=headings.ctypes.data,
         )))  # fmt: skip
