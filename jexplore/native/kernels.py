@@ -41,39 +41,6 @@ def target_of(native: str | None) -> str | None:
     return None if jax.config.values["jax_disable_jit"] else native
 
 
-def field(
-    native: str,
-    cells: Array,
-    row: Array,
-    col: Array,
-    clearance_d2: int,
-    connectivity: int,
-    least: int,
-    *,
-    nearest_only: bool,
-) -> tuple[Array, Array, Array]:
-    """Return `(traversable, cost, candidates)`, `[H, W]` each, of `planning.cells_of`; see `planning.field`."""
-    results = [(cells.shape, bool), (cells.shape, jnp.int32), (cells.shape, bool)]
-    terms = numbers([row, col, clearance_d2, nearest_only, connectivity, least])
-    traversable, cost, candidates = call(native, "field", results, cells, terms)
-    return traversable, cost, candidates
-
-
-def clusters(native: str, candidates: Array, cost: Array, most: int, max_cells: int) -> tuple[Array, Array]:
-    """Return row, col and size of clusters, `[3, most]` int32, and how many there are and cells were left out, `[2]`
-    int32; see `frontier.frontier_clusters`.
-    """
-    results = [((3, most), jnp.int32), ((2,), jnp.int32)]
-    found, told = call(native, "clusters", results, candidates, cost, numbers([max_cells]))
-    return found, told
-
-
-def lay(native: str, route: Array, cost: Array, traversable: Array, start: Any, target: Any) -> Array:
-    """Return the route; see `planning.readout.lay_route`."""
-    terms = numbers([*start, *target])
-    return call(native, "lay", [(route.shape, jnp.int8)], route, cost, traversable, terms, in_place=1)[0]
-
-
 def look(
     native: str,
     stops: Array,
@@ -97,14 +64,6 @@ def look(
     )
     terms = numbers([n, enough, square_side(beams)])
     return call(native, "look", [result], cells, at, beams.by_beam, beams.length, d2, terms)[0]
-
-
-def apart(native: str, cells: Array, at: Array, n: Array | int, side: int, start: Array, clearance_d2: int) -> Array:
-    """Return what paths between the first n of some cells cost, `[M, M]` int32; see `policies.clusters.paths_apart`."""
-    m = at.shape[1]
-    return call(
-        native, "apart", [((m, m), jnp.int32)], cells, at, numbers([n, side, clearance_d2, *(-start[:2] % side)])
-    )[0]
 
 
 def cast(

@@ -40,8 +40,9 @@ def targets(belief: Belief, reached: Field) -> Targets:
     """Find the `Targets` of a belief and its `Field`."""
     native = kernels.target_of(belief.model.native)
     if native:
-        shape = reached.cost.shape
-        (row, col, size), told = kernels.clusters(native, reached.frontier, reached.cost, CLUSTERS, most_cells(shape))
+        results = [((3, CLUSTERS), jnp.int32), ((2,), jnp.int32)]
+        most = kernels.numbers([most_cells(reached.cost.shape)])
+        (row, col, size), told = kernels.call(native, "clusters", results, reached.frontier, reached.cost, most)
         overflow = jnp.maximum(told[0] - CLUSTERS, 0) + told[1]
     else:
         found = frontier_clusters(reached.frontier, reached.cost, max_clusters=CLUSTERS)
@@ -102,8 +103,9 @@ def paths_apart(belief: Belief, at: Targets) -> Array:
     side, n = block_side(belief.model.clearance_d2), jnp.sum(at.used, dtype=jnp.int32)
     native = kernels.target_of(belief.model.native)
     if native:
-        where = jnp.stack([at.row, at.col])
-        table = kernels.apart(native, cells_of(belief), where, n, side, belief.start, belief.model.clearance_d2)
+        terms = kernels.numbers([n, side, belief.model.clearance_d2, *(-belief.start[:2] % side)])
+        result = [(2 * at.row.shape, jnp.int32)]
+        (table,) = kernels.call(native, "apart", result, cells_of(belief), jnp.stack([at.row, at.col]), terms)
     else:
         table = _costs_apart(belief, at, n, side)
     table = jnp.where(at.used[None] & at.used[:, None], table, FAR)
