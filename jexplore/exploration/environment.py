@@ -232,7 +232,7 @@ def _scan(setup: Setup, given: Given, state: State, when: Array) -> State:
 
 def drive(setup: Setup, given: Given, state: State) -> State:
     """Advance until the plan under way is done."""
-    if not _is_native(setup):
+    if target_of(setup.native) is None:
         return lax.while_loop(lambda state: state.plan_active, lambda state: advance(setup, given, state), state)
     state, asks = drive_natively(setup, given, state, Stage.NEXT_SCAN)
     if setup.policy.live is None:
@@ -244,11 +244,6 @@ def drive(setup: Setup, given: Given, state: State) -> State:
         return drive_natively(setup, given, state, Stage.ANSWERED, live)
 
     return lax.while_loop(lambda both: both[1], answer, (state, asks))[0]
-
-
-def _is_native(setup: Setup) -> bool:
-    """Return whether native code drives."""
-    return target_of(setup.native) is not None
 
 
 def decide(setup: Setup, given: Given, state: State) -> tuple[Any, Choice, Array]:
@@ -389,7 +384,7 @@ def begin(setup: Setup, given: Given) -> State:
         **no_counts() | {"n_known": n_known},
     )
 
-    if _is_native(setup):
+    if target_of(setup.native) is not None:
         return drive_natively(setup, given, state, Stage.FIRST_SCANS)[0]
 
     def look_round(_: Array, state: State) -> State:

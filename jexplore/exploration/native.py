@@ -16,9 +16,9 @@ from jexplore.exploration.trail import Final, Record, decode, record_of
 from jexplore.native import episodes, gpu
 from jexplore.native.build import warn_once
 from jexplore.native.episodes import trace_beams
-from jexplore.policies.closest import closest, is_nearest
+from jexplore.policies.closest import closest
 from jexplore.policies.policy import Strategy
-from jexplore.policies.uniform import is_uniform
+from jexplore.policies.uniform import uniform
 from jexplore.raycast import scans_all_round
 from jexplore.rules import Lidar, Robot, Rules
 from jexplore.worlds.world import World, ring_of, with_ring
@@ -28,16 +28,11 @@ MOST = 4096  # episodes in one call
 # 1,300 in a cave, and makes 100,000 a second (`benchmarks/device.py`).
 GPU_FROM = 4096
 ON_GPU, ON_CPU = "native on a GPU", "native on a CPU"
+CHOOSERS = {closest().select: episodes.NEAREST, uniform().select: episodes.UNIFORM}
+"""`select` of a strategy -> how native code chooses as it does."""
 _MEASURES = [field.name for field in dataclasses.fields(Result) if field.name not in ("metrics", "way_m", "ride")]
 _OUTCOME = _MEASURES.index("outcome")
 _WIDTHS = {"at": len(PERCENTILES), "along": MARKS}  # of measures whose names end so; of others 1
-
-
-def chooser_of(strategy: Strategy) -> int | None:
-    """Return how native code chooses targets as a strategy does; None: it cannot."""
-    if is_nearest(strategy.policy):
-        return episodes.NEAREST
-    return episodes.UNIFORM if is_uniform(strategy.policy) else None
 
 
 def is_exact(lidar: Lidar) -> bool:
@@ -47,7 +42,7 @@ def is_exact(lidar: Lidar) -> bool:
 
 def is_native(strategy: Strategy, lidar: Lidar, rules: Rules) -> bool:
     """Tell whether there is native code for a strategy's episodes by a scanner and rules."""
-    return chooser_of(strategy) is not None and is_exact(lidar) and rules.on_lattice
+    return strategy.policy.select in CHOOSERS and is_exact(lidar) and rules.on_lattice
 
 
 class NativePlace(NamedTuple):
@@ -76,7 +71,7 @@ def native_place(
         n_beams=lidar.n_beams,
         first_scans=scans_all_round(lidar),
         recheck=strategy.recheck,
-        chooser=chooser_of(strategy),
+        chooser=CHOOSERS[strategy.policy.select],
         clock=clock_table(robot, whole.cell_m, max(whole.shape)),
         **rule_numbers(whole, lidar, rules),
     )
