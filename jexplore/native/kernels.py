@@ -66,16 +66,6 @@ def look(
     return call(native, "look", [result], cells, at, beams.by_beam, beams.length, d2, terms)[0]
 
 
-def cast(
-    native: str, occupied: Array, xy: Array, direction: Array, reach: Array, base: Array | int
-) -> tuple[Array, Array]:
-    """Return distance and hit, `[B]` each, of beams; see `slam2d.beams.cast`."""
-    n = direction.shape[:1]
-    terms = jnp.float32(reach), numbers([base])
-    distance, hit = call(native, "cast", [(n, jnp.float32), (n, bool)], occupied, xy, direction, *terms)
-    return distance, hit
-
-
 def fold(
     native: str, grid: Grid, xy: Array, direction: Array, reading: Any, reach: Array, extent: Array,
     within: Array | None = None, *, ends_first: bool = False,
@@ -91,38 +81,3 @@ def fold(
         numbers([*jnp.unstack(extent), int(ends_first)]), in_place=2,
     )  # fmt: skip
     return Grid(hits, misses), fresh[0]
-
-
-def enter(native: str, maps: Sequence[Array], count: Array, overflow: Array, new: Any, scale: Array) -> list[Array]:
-    """Return x, y, both normals and the index of a point map with the points of a scan, changed in place, then how many
-    it has and had no room for; `new`: `slam2d.points.New`.
-    """
-    reals = jnp.stack([new.x, new.y, new.normal_x, new.normal_y, new.scan_x, new.scan_y, new.far2])
-    given_up = *maps, numbers([count, overflow])
-    results = [(a.shape, a.dtype) for a in given_up]
-    terms = jnp.stack([new.row, new.col]), new.inside, scale
-    *maps, told = call(native, "enter", results, *given_up, reals, *terms, in_place=len(given_up))
-    return [*maps, told[0], told[1]]
-
-
-def coarse(
-    native: str,
-    near: Array,
-    cells: Array,
-    valid: Array,
-    first: Sequence[Array],
-    size: Sequence[int],
-    most: Array,
-    n: int,
-) -> tuple[Array, Array]:
-    """Return sums of the least costs in blocks, `[T, n, n]` int32, and the picture; see `slam2d.search`."""
-    margin = 12
-    results = [((cells.shape[1], n, n), jnp.int32), (tuple(side + margin for side in size), jnp.int16)]
-    sums, cost = call(native, "coarse", results, near, cells, valid, numbers([*first, most]))
-    return sums, cost
-
-
-def fine(native: str, cost: Array, cells: Array, valid: Array, which: Array, most: Array, n: int) -> Array:
-    """Return sums of costs in blocks, `[M, 36]` int32; see `slam2d.search`."""
-    result = [((which.shape[1], 36), jnp.int32)]
-    return call(native, "fine", result, cost, cells, valid, which, numbers([most, n]))[0]
