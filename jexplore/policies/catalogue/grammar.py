@@ -9,15 +9,9 @@ from typing import Any
 
 from jexplore.arrays.pictures import Listing
 from jexplore.config import InputError, require_number, shown, unknown
+from jexplore.policies.catalogue import entries
 from jexplore.policies.catalogue.adapt import adapted, policy_from, with_exact_numbers
-from jexplore.policies.catalogue.entries import (
-    MODIFIERS,
-    REQUIRED,
-    STRATEGIES,
-    SYNONYMS,
-    parameters,
-    source_of,
-)
+from jexplore.policies.catalogue.entries import MODIFIERS, REQUIRED, SYNONYMS, parameters, source_of
 from jexplore.policies.policy import Policy, Span, Strategy
 from jexplore.policies.room_wise import KINDS, segmented
 from jexplore.users import described, import_object, name_of
@@ -28,7 +22,7 @@ _FOREIGN = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)(?=$|[
 def strategies() -> Listing:
     """List all named strategies with their parameters."""
     rows = []
-    for name, entry in STRATEGIES.items():
+    for name, entry in entries.STRATEGIES.items():
         own = parameters(entry.make).items()
         told = ", ".join(key if value is REQUIRED else f"{key}={value}" for key, value in own)
         rows.append((name, entry.summary, told or "-", source_of(entry)))
@@ -94,7 +88,7 @@ def _unknown(name, rest):
         return InputError(f"unknown strategy {name!r}: a function of {name} is named like {Path(name).stem}:function")
     if os.path.isfile(f"{name}.py"):
         return InputError(f"unknown strategy {name!r}: a function of {name}.py is named like {name}:function")
-    return unknown("strategy", name, STRATEGIES, SYNONYMS)
+    return unknown("strategy", name, entries.STRATEGIES, SYNONYMS)
 
 
 def _build(
@@ -115,13 +109,13 @@ def _build(
 def _parsed(text):
     """Parse a strategy's text: its function, modifiers, parameters with their defaults, and those that it gives."""
     foreign = _FOREIGN.match(text)
-    if foreign and not foreign["module"].endswith(".py") and foreign["module"] not in STRATEGIES:
+    if foreign and not foreign["module"].endswith(".py") and foreign["module"] not in entries.STRATEGIES:
         make, name = import_object(foreign["module"], foreign["name"]), foreign[0]
     else:
         name = re.split("[+:]", text, maxsplit=1)[0]
-        if name not in STRATEGIES:
+        if name not in entries.STRATEGIES:
             raise _unknown(name, text[len(name) :])
-        make = STRATEGIES[name].make
+        make = entries.STRATEGIES[name].make
     words, colon, tail = text[len(name) :].partition(":")
     modifiers = _modifiers(words.split("+")[1:], text)
     if colon and not tail:
