@@ -23,7 +23,7 @@ from jexplore.policies.tour import tour
 from jexplore.policies.uniform import uniform
 from jexplore.policies.utility import utility
 from jexplore.policies.views import decision_theoretic, gain_rate
-from jexplore.users import bare, described, place_of
+from jexplore.users import bare, described
 
 REQUIRED = inspect.Parameter.empty  # default of a parameter without one
 STRATEGY_NAME = r"[A-Za-z_][\w.-]*"
@@ -200,8 +200,3 @@ def register(name: str, make: Any = None, *, summary: str = "", source: str = ""
     doc = (inspect.getdoc(make) or "") if inspect.isroutine(make) else ""
     STRATEGIES[name] = Entry(make, summary or doc.partition("\n")[0], source, is_own=True)
     return make
-
-
-def source_of(entry: Entry) -> str:
-    """Return the source of a strategy: its paper, or its file."""
-    return entry.source or place_of(entry.make)

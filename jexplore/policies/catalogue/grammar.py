@@ -11,10 +11,10 @@ from jexplore.arrays.pictures import Listing
 from jexplore.config import InputError, require_number, shown, unknown
 from jexplore.policies.catalogue import entries
 from jexplore.policies.catalogue.adapt import adapted, policy_from, with_exact_numbers
-from jexplore.policies.catalogue.entries import MODIFIERS, REQUIRED, SYNONYMS, parameters, source_of
+from jexplore.policies.catalogue.entries import MODIFIERS, REQUIRED, SYNONYMS, parameters
 from jexplore.policies.policy import Policy, Span, Strategy
 from jexplore.policies.room_wise import KINDS, segmented
-from jexplore.users import described, import_object, name_of
+from jexplore.users import described, import_object, name_of, place_of
 
 _FOREIGN = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)(?=$|[+:])")
 
@@ -25,7 +25,7 @@ def strategies() -> Listing:
     for name, entry in entries.STRATEGIES.items():
         own = parameters(entry.make).items()
         told = ", ".join(key if value is REQUIRED else f"{key}={value}" for key, value in own)
-        rows.append((name, entry.summary, told or "-", source_of(entry)))
+        rows.append((name, entry.summary, told or "-", entry.source or place_of(entry.make)))
     return Listing(("strategy", "goes to", "parameters", "source"), tuple(rows))
 
 
