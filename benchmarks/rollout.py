@@ -26,7 +26,7 @@ from jexplore.distance import nearest_offset
 from jexplore.exploration.motion import motion_step
 from jexplore.grid import is_known, is_occupied
 from jexplore.planning import field, is_live, nearest_frontier
-from jexplore.policies.clusters import go_to, paths_apart, seen_from, targets
+from jexplore.policies.clusters import go_to, looks, paths_apart, targets
 from jexplore.policies.distance_advantage import advantage
 from jexplore.policies.policy import Policy, no_carry
 from jexplore.raycast import fold, scan
@@ -123,7 +123,7 @@ def played(belief, walls, beams, choice, route):
 def _select(key, params, carry, belief, beams, route):
     known = field(belief)
     at = targets(belief, known)
-    area = seen_from(belief, at, beams)[0].astype(jnp.float32)
+    area = looks(belief, at, beams)[0].astype(jnp.float32)
     usable = jnp.where(jnp.any(area > 0), at.used & (area > 0), at.used)
     worth = advantage(at.path_m, paths_apart(belief, at), usable, 0.5, area) - 0.5 * belief.model.cell_m * jnp.sqrt(
         area

@@ -93,10 +93,10 @@ def most(prospect: Prospect, row: Array, col: Array, beams: Beams) -> Array:
     return inside * (1 + 1e-4) + 1  # more than what float32 loses
 
 
-def _passed(prospect: Prospect, row: Array | int, col: Array | int, beams: Beams) -> tuple[Grid, Array]:
+def _passed(stops: Array, unknown: Array, row: Array | int, col: Array | int, beams: Beams) -> tuple[Grid, Array]:
     """Cast a look-around: what it counts in the square round the cell, and the unknown cells there."""
     side, zero = square_side(beams), jnp.int32(0)
-    stops, unknown = (lax.dynamic_slice(a, (row, col), (side, side)) for a in (prospect.stops, prospect.unknown))
+    stops, unknown = (lax.dynamic_slice(a, (row, col), (side, side)) for a in (stops, unknown))
     found = scan(stops, side // 2, side // 2, zero, beams)
     return fold(empty_grid((side, side)), side // 2, side // 2, zero, found, beams), unknown
 
@@ -117,7 +117,7 @@ def look(
         alone = seen.astype(jnp.float32)
         gain = run_if(jnp.any(prospect.before > 0), lambda _: look(prospect, row, col, beams).gain, alone)
         return ViewGain(gain, seen, known)
-    counted, unknown = _passed(prospect, row, col, beams)
+    counted, unknown = _passed(prospect.stops, prospect.unknown, row, col, beams)
     passed = counted.misses > 0
     seen = count(passed & unknown)
     known = count(passed) - seen
@@ -135,20 +135,14 @@ def look(
     return ViewGain(seen.astype(jnp.float32) + change, seen, known)
 
 
-def unknown_within(prospect: Prospect, row: Array | int, col: Array | int, beams: Beams, d2: Array) -> Array:
-    """Count the unknown cells that a look-around at a cell would show within some distances: `[R]` int32.
+def seen_within(stops: Array, unknown: Array, row: Array | int, col: Array | int, beams: Beams, d2: Array) -> Array:
+    """Count the cells that a look-around at a cell would see: `[R + 1]` int32, unknown within R distances, then known.
 
-    `d2` is `[R]` float32, squared distances, cells^2; the others are as for `look`.
+    `stops`, `unknown`: of `stops_and_unknown`; `d2`: `[R]` float32, squared distances, cells^2; the others as for
+    `look`.
     """
-    counted, unknown = _passed(prospect, row, col, beams)
+    counted, unknown = _passed(stops, unknown, row, col, beams)
     rows, cols = (lax.broadcasted_iota(jnp.int32, unknown.shape, axis) - unknown.shape[0] // 2 for axis in (0, 1))
-    seen, off = (counted.misses > 0) & unknown, rows**2 + cols**2
-    return jnp.stack([count(seen & (off <= d2[i])) for i in range(d2.shape[0])])
-
-
-def unknown_seen(known: Known, row: Array | int, col: Array | int, beams: Beams) -> Array:
-    """Count the unknown cells that a look-around at a cell would show: int32, the `unknown` of a `look`."""
-    stops, unknown = stops_and_unknown(known, beams)
-    none = jnp.zeros(0, jnp.int32)
-    counted, unknown = _passed(Prospect(stops, unknown, none, none, none, none, jnp.int32(0)), row, col, beams)
-    return count((counted.misses > 0) & unknown)
+    passed, off = counted.misses > 0, rows**2 + cols**2
+    shown = [count(passed & unknown & (off <= d2[i])) for i in range(d2.shape[0])]
+    return jnp.stack([*shown, count(passed & ~unknown)])

@@ -175,7 +175,7 @@ def everything(belief, beams):
     """Return `Targets`, the cells seen from them, their distances, and traversable cells."""
     known = field(belief)
     at = clusters.targets(belief, known)
-    return at, clusters.seen_from(belief, at, beams), clusters.paths_apart(belief, at), known.traversable
+    return at, clusters.looks(belief, at, beams), clusters.paths_apart(belief, at), known.traversable
 
 
 def test_targets_by_hand():

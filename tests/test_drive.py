@@ -173,7 +173,7 @@ def test_steps_of_an_environment_have_the_same_bits(target, monkeypatch):
     occupied, rooms = maps.cluttered(1, 40, 44)
 
     def steps(native):
-        monkeypatch.setattr(site, "find_target", lambda: build.Library(None, name=native))
+        monkeypatch.setattr(site, "load_driving", lambda: build.Library(None, name=native))
         env = jx.Environment(
             World(occupied=occupied, rooms=rooms, name="cluttered"), lidar=LIDAR, recheck=True, paths=True
         )

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from ref import gain as oracle
 from ref import maps
 
-from jexplore.gain import Known, look, most, prospect, stops_and_unknown, unknown_seen
+from jexplore.gain import Known, look, most, prospect, seen_within, stops_and_unknown
 from jexplore.grid import Grid, empty_grid
 from jexplore.raycast import beam_table, square_side
 from jexplore.rules import Lidar
@@ -127,7 +127,8 @@ def everything(grid, outline, row, col, beams):
     known = Known(grid, jnp.float32(0.25), outline=outline)
     ahead = prospect(known, beams)
     limit = most(ahead, row[None], col[None], beams)[0]
-    return look(ahead, row, col, beams), limit, unknown_seen(known, row, col, beams)
+    seen = seen_within(ahead.stops, ahead.unknown, row, col, beams, jnp.full(1, jnp.inf))
+    return look(ahead, row, col, beams), limit, seen[0]
 
 
 @pytest.mark.jit

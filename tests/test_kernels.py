@@ -62,8 +62,8 @@ def plan(belief, beams, key):
     route = jnp.full(reached.cost.shape, -1, jnp.int8)
     row, col = views.drawn(key, belief, reached, PARAMS)
     told = [
-        reached, at, clusters.seen_from(belief, at, beams), clusters.unknown_from(belief, at, beams, (0.3, 0.8)),
-        jnp.minimum(clusters.shown_from(belief, at, beams, 3), 3), clusters.paths_apart(belief, at),
+        reached, at, clusters.looks(belief, at, beams), clusters.looks(belief, at, beams, (0.3, 0.8)),
+        jnp.minimum(clusters.looks(belief, at, beams, enough=3)[0], 3), clusters.paths_apart(belief, at),
         nearest_frontier(belief, route),
         clusters.go_to(belief, route, reached, at, jnp.sum(at.used, dtype=jnp.int32) - 1),
         views.live(PARAMS, belief, beams, belief.row, belief.col),

@@ -2,7 +2,6 @@
 
 import ctypes
 import dataclasses
-import shutil
 import subprocess
 import sys
 import threading
@@ -16,7 +15,6 @@ from ref import fuzz, native
 
 import jexplore as jx
 from jexplore.config import InputWarning
-from jexplore.engine.backend import cache_folder
 from jexplore.engine.runner import on_cores, run_all
 from jexplore.exploration import native as runs
 from jexplore.exploration.batch import Job, run_jobs
@@ -200,20 +198,6 @@ def test_without_a_compiler_jax_runs_and_says_so_once(monkeypatch, tmp_path):
     assert report.costs.levels == {"closest": ["JAX"]}
     assert [line.partition(":")[0] for line in report.costs.why_not] == ["no C++ compiler was found"]
     assert_equal(dataclasses.asdict(report.outcomes[0].result), dataclasses.asdict(want))
-
-
-@needs_compiler
-@pytest.mark.usefixtures("forgetful")
-def test_a_library_that_counts_wrongly_is_not_used(monkeypatch):
-    whole = cache_folder() / f"{episodes.load_episodes().name}.so"
-    assert episodes.check(ctypes.CDLL(str(whole))) == ""
-    build.build_library.cache_clear()
-    monkeypatch.setattr(build.subprocess, "run", lambda command, **_: shutil.copy(whole, command[-1]))
-    monkeypatch.setitem(episodes._EXPECTED, episodes.NEAREST, (0,) * 9)
-    monkeypatch.setenv("CXX", "c++ -DNOTHING")  # another library than the one that is built
-    found = episodes.load_episodes()
-    assert found.loaded is None
-    assert "an episode in it came to" in found.why_not
 
 
 @needs_compiler

@@ -1,8 +1,6 @@
 """Strategies that a user brings: scores, constructors, policies, names, modules; errors in one line."""
 
 import functools
-import importlib
-import importlib.metadata
 import itertools
 import math
 import os
@@ -317,26 +315,6 @@ def test_registered(monkeypatch):
     ):
         refused(says, jx.register, name, thing)
     refused("one of jexplore's own", jx.register, "closest", nearest, replace=True)
-
-
-def test_packages_offer_strategies(module, monkeypatch):
-    monkeypatch.setattr(entries, "STRATEGIES", dict(STRATEGIES))
-    points = [
-        importlib.metadata.EntryPoint(name, value, entries.GROUP)
-        for name, value in (("offered", "mine_of_tests:near"), ("spoilt", "mine_of_tests:absent"))
-    ]
-    monkeypatch.setattr(sys, "path", [str(module), *sys.path])
-    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: points if group == entries.GROUP else [])
-    entries.offered.cache_clear()
-    try:
-        assert parse_strategy("offered+recheck:weight=2").policy.params == {"weight": 2}
-        found = {name: told for name, *told in strategies()}
-        assert found["offered"][1] == "weight=1.0, mode=plain, way=None"
-        assert "'spoilt' of mine_of_tests:absent does not load: AttributeError" in found["spoilt"][0]
-        refused("does not load", parse_strategy, "spoilt")
-        refused("registered already", jx.register, "spoilt", nearest)
-    finally:
-        entries.offered.cache_clear()
 
 
 def test_what_stands_for_a_strategy():

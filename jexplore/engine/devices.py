@@ -1,6 +1,7 @@
 """Programs compiled for a device."""
 
 import contextlib
+import dataclasses
 import functools
 from collections.abc import Callable, Generator, Hashable
 from typing import Any, Protocol
@@ -42,17 +43,12 @@ class Device(Protocol):
         ...
 
 
+@dataclasses.dataclass(frozen=True)
 class _Function:
     """A function that is told from others by its name only: what it is made from, hashable."""
 
-    def __init__(self, function: Callable[..., Any], name: Hashable) -> None:
-        self.function, self.name = function, name
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Function) and self.name == other.name
-
-    def __hash__(self) -> int:
-        return hash(self.name)
+    function: Callable[..., Any] = dataclasses.field(compare=False)
+    name: Hashable
 
 
 def compiled(

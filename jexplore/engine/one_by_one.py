@@ -4,8 +4,7 @@ Threads share one compiled program.
 """
 
 import functools
-import time
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -16,7 +15,7 @@ from jax import Array, lax
 
 from jexplore.engine.devices import Device, compiled, random_key
 from jexplore.engine.program import Given, Line, Program
-from jexplore.engine.threads import Pace, Pieces
+from jexplore.engine.threads import Pieces
 
 CHUNK = 64  # most runs in one call of the compiled program
 
@@ -83,16 +82,14 @@ def _place(line: Line, device: Device) -> Any:
     return jax.device_put((jax.tree.map(lambda a: a[None], line.scene), line.shared), device)
 
 
-def _pieces(line: Line, call: Callable[..., Any], place: Any, pace: Pace) -> Pieces:
+def _pieces(line: Line, call: Callable[..., Any], place: Any) -> Pieces:
     """Divide the runs of a line into `Pieces`; the first comes alone."""
     arguments, size = (np.uint32(line.seed), *place, line.numbers), CHUNK
 
-    def make(first: int, n: int) -> tuple[Any, float]:
+    def make(first: int, n: int) -> Any:
         which = np.pad(line.which[first : first + n], (0, size - n))
         tasks = jax.tree.map(lambda a: a[which], line.tasks)
-        began = time.perf_counter()
-        found = jax.block_until_ready(call(line.draws[which], tasks, np.int32(n), *arguments))
-        return found, time.perf_counter() - began
+        return jax.block_until_ready(call(line.draws[which], tasks, np.int32(n), *arguments))
 
     def keep(first: int, n: int, found: tuple[Any, Any]) -> None:
         some, (results, last) = line.which[first : first + n], found
@@ -100,7 +97,7 @@ def _pieces(line: Line, call: Callable[..., Any], place: Any, pace: Pace) -> Pie
             line.detail = jax.tree.map(np.asarray, last)
         line.put(some, jax.tree.map(lambda a: np.asarray(a)[:n], results))
 
-    return Pieces(len(line.which), size, make, keep, phase=line.phase, pace=pace, first_alone=line.detailed >= 0)
+    return Pieces(len(line.which), size, make, keep, phase=line.phase)
 
 
 def pieces_of(lines: Sequence[Line], device: Device, workers: int) -> list[Pieces]:
@@ -112,7 +109,6 @@ def pieces_of(lines: Sequence[Line], device: Device, workers: int) -> list[Piece
     with ThreadPoolExecutor(workers) as pool:
         programs = dict(zip(kinds, pool.map(lambda line: compile_chunk(line, device), kinds.values())))
     places: dict[tuple[int, int], Any] = {}
-    paces: dict[Hashable, Pace] = {}
     found: list[Pieces] = []
     for line in lines:
         key = id(line.scene), id(line.shared)
@@ -120,6 +116,5 @@ def pieces_of(lines: Sequence[Line], device: Device, workers: int) -> list[Piece
             places[key] = _place(line, device)
         call, shapes = programs[line.kind]
         line.make_room(shapes)
-        pace = paces.setdefault((line.kind, id(line.scene), id(line.numbers)), Pace())
-        found.append(_pieces(line, call, places[key], pace))
+        found.append(_pieces(line, call, places[key]))
     return found

@@ -38,37 +38,33 @@ interruption = Interruption()
 
 
 @dataclasses.dataclass
-class Pace:
-    """Duration of a piece; shared by work of one sort."""
-
-    piece_s: float | None = None  # seconds a piece, once known
-
-
-@dataclasses.dataclass
 class Pieces:
     """Pieces of work of one kind, of which a call does several."""
 
     total: int
     most: int  # in one call
-    call: Callable[[int, int], tuple[Any, float]]  # (first, n) -> (found, seconds): does n pieces; threads call it
+    call: Callable[[int, int], Any]  # (first, n) -> found: does n pieces; threads call it
     keep: Callable[[int, int, Any], object]  # (first, n, found): keeps it; the thread of `share_out` calls this
     phase: int = 0  # nothing of a later phase is begun before all of this one is
-    pace: Pace = dataclasses.field(default_factory=Pace)
-    first_alone: bool = False  # whether the first call does one piece, whatever the pace
     next: int = dataclasses.field(default=0, init=False)
+    piece_s: float | None = dataclasses.field(default=None, init=False)  # seconds a piece, once known
 
     def take(self, workers: int) -> tuple[int, int]:
         """Cut off the next call, `(first, number)`: one piece at first, then as many as take about a second.
 
         Only whole pieces: an episode is never cut.
         """
-        left, piece_s = self.total - self.next, self.pace.piece_s
-        is_alone = piece_s is None or (self.first_alone and self.next == 0)
-        n = 1 if is_alone or piece_s is None else int(CALL_S / max(piece_s, 1e-6))
+        left = self.total - self.next
+        n = 1 if self.piece_s is None else int(CALL_S / max(self.piece_s, 1e-6))
         n = min(left, max(1, min(n, self.most, -(-left // workers))))
         first = self.next
         self.next += n
         return first, n
+
+    def timed(self, first: int, n: int) -> tuple[Any, float]:
+        """Do some pieces: `(found, seconds)`."""
+        began = time.perf_counter()
+        return self.call(first, n), time.perf_counter() - began
 
 
 def share_out(
@@ -94,7 +90,7 @@ def share_out(
         pieces, first, n = running.pop(future)
         found, seconds = future.result()
         pieces.keep(first, n, found)
-        pieces.pace.piece_s = seconds / n
+        pieces.piece_s = seconds / n
         return n
 
     try:
@@ -104,7 +100,7 @@ def share_out(
                     waiting.append(later.popleft())
                 pieces = waiting.popleft()
                 first, n = pieces.take(workers)
-                running[pool.submit(pieces.call, first, n)] = pieces, first, n
+                running[pool.submit(pieces.timed, first, n)] = pieces, first, n
                 if pieces.next < pieces.total:
                     waiting.append(pieces)
             done += sum(finish(future) for future in wait(running, return_when=FIRST_COMPLETED).done)

@@ -111,7 +111,7 @@ def run_jobs(
     told = None if on_job is None else (lambda i: on_job(i, _outcomes(wanted[i].job, runs[i])))
 
     def use_gpu(tell: Callable[[], object]) -> None:
-        why_not.extend(filter(None, [play_on_gpu([*native.values()], tell)]))
+        why_not.extend(play_on_gpu([*native.values()], lambda _: tell()))
 
     costs = run_all(runs, resources, on_progress, told, first=use_gpu)
     costs.engine, costs.why_not = engine, list(dict.fromkeys(why_not))

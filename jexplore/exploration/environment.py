@@ -232,7 +232,7 @@ def _scan(setup: Setup, given: Given, state: State, when: Array) -> State:
 
 def drive(setup: Setup, given: Given, state: State) -> State:
     """Advance until the plan under way is done."""
-    if not _is_native(setup):
+    if target_of(setup.native) is None:
         return lax.while_loop(lambda state: state.plan_active, lambda state: advance(setup, given, state), state)
     state, asks = drive_natively(setup, given, state, Stage.NEXT_SCAN)
     if setup.policy.live is None:
@@ -244,11 +244,6 @@ def drive(setup: Setup, given: Given, state: State) -> State:
         return drive_natively(setup, given, state, Stage.ANSWERED, live)
 
     return lax.while_loop(lambda both: both[1], answer, (state, asks))[0]
-
-
-def _is_native(setup: Setup) -> bool:
-    """Return whether native code drives."""
-    return target_of(setup.native) is not None
 
 
 def decide(setup: Setup, given: Given, state: State) -> tuple[Any, Choice, Array]:
@@ -263,16 +258,22 @@ def decide(setup: Setup, given: Given, state: State) -> tuple[Any, Choice, Array
         return setup.policy.select(key, given.numbers.params, asked[0], belief, given.shared, asked[2])
 
     def go_home(asked: Any) -> Any:
-        reached, (row, col, _) = field(belief), belief.start
-        is_open = reached.cost[row, col] < FAR
-        choice, route = choose(belief, asked[2], reached, *(jnp.where(is_open, at, -1) for at in (row, col)))
-        return asked[0], choice.replace(is_view=is_open, overflow=zero), route
+        choice, route, is_open = go_to(belief, asked[2], *belief.start[:2])
+        return asked[0], choice.replace(is_view=is_open), route
 
     zero, none = jnp.int32(0), jnp.int32(-1)
     asked = state.carry, Choice(none, none, jnp.int32(FAR), zero, jnp.bool_(False), zero), state.route
     if not setup.ends:
         return ask(asked)
     return run_if(state.homing > 0, go_home, run_if(state.homing == 0, ask, asked))
+
+
+def go_to(belief: Belief, route: Array, row: Array, col: Array) -> tuple[Choice, Array, Array]:
+    """Choose a cell, if a way leads there: `(choice, route, whether one does)`."""
+    reached = field(belief)
+    is_open = reached.cost[row, col] < FAR
+    choice, route = choose(belief, route, reached, jnp.where(is_open, row, -1), jnp.where(is_open, col, -1))
+    return choice.replace(overflow=jnp.int32(0)), route, is_open
 
 
 def commit(
@@ -383,7 +384,7 @@ def begin(setup: Setup, given: Given) -> State:
         **no_counts() | {"n_known": n_known},
     )
 
-    if _is_native(setup):
+    if target_of(setup.native) is not None:
         return drive_natively(setup, given, state, Stage.FIRST_SCANS)[0]
 
     def look_round(_: Array, state: State) -> State:

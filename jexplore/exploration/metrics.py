@@ -17,7 +17,7 @@ from jexplore.engine.program import Given
 from jexplore.exploration.state import Setup, State, StepCounts
 from jexplore.planning import Belief
 from jexplore.policies.catalogue.adapt import Theirs, computation_digest, expecting
-from jexplore.users import call_user, described
+from jexplore.users import call_user
 
 INT32 = np.iinfo(np.int32)
 
@@ -68,18 +68,19 @@ class EpisodeView(StepCounts):
 COUNTS = [field.name for field in dataclasses.fields(EpisodeView)][3:-1]
 
 
+@dataclasses.dataclass(frozen=True, repr=False)
 class Metric(Theirs):
-    """A user's metric. `reduce`: how its values after every motion become one; None: it is taken at the end alone."""
+    """A user's metric."""
 
-    def __init__(self, function: Callable[..., Any], reduce: str | None = None, digest: str | None = None) -> None:
-        if not callable(function):
-            raise InputError(f"{described(function)} is no metric: expected a function of an EpisodeView")
-        super().__init__(function, digest=digest)
-        self.reduce = reduce
-        self._key = *self._key, reduce
+    reduce: str | None = None  # how its values after every motion become one; None: it is taken at the end alone
+
+    def __post_init__(self) -> None:
+        if not callable(self.function):
+            raise InputError(f"{self.what} is no metric: expected a function of an EpisodeView")
+        super().__post_init__()
 
     def __repr__(self) -> str:
-        return f"<Metric {described(self.function)}, {self.reduce or 'at the end'}>"
+        return f"<Metric {self.what}, {self.reduce or 'at the end'}>"
 
     def __call__(self, view: EpisodeView) -> Array:
         found = call_user(self.function, self.what, view)
@@ -90,9 +91,6 @@ class Metric(Theirs):
             if value.shape != () or value.dtype not in (jnp.bool_, jnp.int32, jnp.float32):
                 raise TypeError
         return value.astype(jnp.float32 if self.reduce == "mean" else jnp.promote_types(value.dtype, jnp.int32))
-
-    def anew(self, digest: str | None = None) -> Self:
-        return type(self)(self.function, self.reduce, digest)
 
 
 @functools.lru_cache(maxsize=256)
@@ -130,7 +128,7 @@ def metric(function: Any = None, *, reduce: str = "mean") -> Any:
         raise unknown("reduction", str(reduce), list(REDUCTIONS))
     if function is None:
         return functools.partial(metric, reduce=reduce)
-    return Metric(function, reduce)
+    return Metric(function, reduce=reduce)
 
 
 def episode_view(given: Given, state: Any) -> EpisodeView:

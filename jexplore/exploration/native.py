@@ -2,15 +2,13 @@
 
 import dataclasses
 import math
-import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jexplore.engine.runner import OwnRuns
-from jexplore.engine.threads import Pieces
+from jexplore.engine.threads import Pieces, share_out
 from jexplore.exploration.motion import clock_table
 from jexplore.exploration.site import ROBOT, regions_of, rule_numbers, tasks_of
 from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result
@@ -18,9 +16,9 @@ from jexplore.exploration.trail import Final, Record, decode, record_of
 from jexplore.native import episodes, gpu
 from jexplore.native.build import warn_once
 from jexplore.native.episodes import trace_beams
-from jexplore.policies.closest import is_nearest
+from jexplore.policies.closest import closest
 from jexplore.policies.policy import Strategy
-from jexplore.policies.uniform import is_uniform
+from jexplore.policies.uniform import uniform
 from jexplore.raycast import scans_all_round
 from jexplore.rules import Lidar, Robot, Rules
 from jexplore.worlds.world import World, ring_of, with_ring
@@ -30,23 +28,11 @@ MOST = 4096  # episodes in one call
 # 1,300 in a cave, and makes 100,000 a second (`benchmarks/device.py`).
 GPU_FROM = 4096
 ON_GPU, ON_CPU = "native on a GPU", "native on a CPU"
+CHOOSERS = {closest().select: episodes.NEAREST, uniform().select: episodes.UNIFORM}
+"""`select` of a strategy -> how native code chooses as it does."""
 _MEASURES = [field.name for field in dataclasses.fields(Result) if field.name not in ("metrics", "way_m", "ride")]
 _OUTCOME = _MEASURES.index("outcome")
-_WIDTHS = {
-    "straight_at": len(PERCENTILES),
-    "diagonal_at": len(PERCENTILES),
-    "straight_along": MARKS,
-    "diagonal_along": MARKS,
-    "time_at": len(PERCENTILES),
-    "time_along": MARKS,
-}
-
-
-def chooser_of(strategy: Strategy) -> int | None:
-    """Return how native code chooses targets as a strategy does; None: it cannot."""
-    if is_nearest(strategy.policy):
-        return episodes.NEAREST
-    return episodes.UNIFORM if is_uniform(strategy.policy) else None
+_WIDTHS = {"at": len(PERCENTILES), "along": MARKS}  # of measures whose names end so; of others 1
 
 
 def is_exact(lidar: Lidar) -> bool:
@@ -56,7 +42,7 @@ def is_exact(lidar: Lidar) -> bool:
 
 def is_native(strategy: Strategy, lidar: Lidar, rules: Rules) -> bool:
     """Tell whether there is native code for a strategy's episodes by a scanner and rules."""
-    return chooser_of(strategy) is not None and is_exact(lidar) and rules.on_lattice
+    return strategy.policy.select in CHOOSERS and is_exact(lidar) and rules.on_lattice
 
 
 class NativePlace(NamedTuple):
@@ -76,18 +62,16 @@ def native_place(
     lidar: Lidar,
     rules: Rules,
     robot: Robot = ROBOT,
-    *,
-    is_replay: bool = False,
 ) -> NativePlace:
-    """Make a world ready for episodes in native code, or for replays, of any strategy: these take recorded targets."""
-    whole, chooser = with_ring(world), None if is_replay else chooser_of(strategy)
+    """Make a world ready for episodes of a strategy in native code."""
+    whole = with_ring(world)
     spec = episodes.Spec(
         height=whole.shape[0],
         width=whole.shape[1],
         n_beams=lidar.n_beams,
         first_scans=scans_all_round(lidar),
         recheck=strategy.recheck,
-        chooser=episodes.NEAREST if chooser is None else chooser,
+        chooser=CHOOSERS[strategy.policy.select],
         clock=clock_table(robot, whole.cell_m, max(whole.shape)),
         **rule_numbers(whole, lidar, rules),
     )
@@ -101,13 +85,10 @@ def native_place(
 
 def result_of(table: np.ndarray) -> Result:
     """Return the `Result` of integers as the library writes them: `[..., RESULT]` int32."""
-    parts: dict[str, np.ndarray] = {}
-    at = 0
-    for name in _MEASURES:
-        width = _WIDTHS.get(name)
-        parts[name] = table[..., at] if width is None else table[..., at : at + width]
-        at += width or 1
-    return Result(**parts)  # type: ignore[arg-type]  # numpy on the host
+    widths = [_WIDTHS.get(name.rpartition("_")[2], 0) for name in _MEASURES]
+    parts = np.split(table, np.cumsum(np.maximum(widths, 1))[:-1], axis=-1)
+    named = {name: part if n else part[..., 0] for name, n, part in zip(_MEASURES, widths, parts)}
+    return Result(**named)  # type: ignore[arg-type]  # numpy on the host
 
 
 @dataclasses.dataclass
@@ -151,17 +132,16 @@ class NativeRun(OwnRuns):
         """Return the episodes that have not come back, for `threads.share_out`."""
         left = self.left
 
-        def call(first: int, n: int) -> tuple[episodes.Played, float]:
-            began, numbers = time.perf_counter(), left[first : first + n]
+        def call(first: int, n: int) -> episodes.Played:
+            numbers = left[first : first + n]
             at, paths = np.flatnonzero(numbers == self.detailed), self.keep is not None
-            found = self.place.inner.play(
+            return self.place.inner.play(
                 self.tasks[numbers],
                 self.stop,
                 paths=paths,
                 states=self.keep == "maps",
                 whole=int(at[0]) if at.size else -1,
             )
-            return found, time.perf_counter() - began
 
         def keep(first: int, n: int, found: episodes.Played) -> None:
             self.put(left[first : first + n], found)
@@ -194,10 +174,10 @@ class NativeRun(OwnRuns):
                 self.records[int(number)] = kept
 
 
-def play_on_gpu(runs: Sequence[NativeRun], tell: Callable[[], object]) -> str:
+def play_on_gpu(runs: Sequence[NativeRun], tell: Callable[[int], object]) -> list[str]:
     """Run large groups on a GPU; episodes that it gives up, or that are kept whole, are left for the CPU.
 
-    `tell` is called when some have come. Returns why not, a line; "" where it did, or had nothing to do.
+    `tell` is called when some have come. Returns why some did not: lines.
     """
     by_place: dict[int, list[NativeRun]] = {}
     for run in runs:
@@ -205,44 +185,31 @@ def play_on_gpu(runs: Sequence[NativeRun], tell: Callable[[], object]) -> str:
             by_place.setdefault(id(run.place), []).append(run)
     groups = [group for group in by_place.values() if sum(len(run.which) for run in group) >= GPU_FROM]
     if not groups or not gpu.device_count():
-        return ""
-    found, why_not, stop = gpu.load_gpu(), "", np.zeros(1, np.int32)
-    if found.loaded is None:
-        return _told(found.why_not)
-    with ThreadPoolExecutor(1) as pool:  # the calling thread hears Ctrl-C
-        for group in groups:
-            place, numbers = group[0].place, [run.left[run.left != run.detailed] for run in group]
-            tasks = np.concatenate([run.tasks[own] for run, own in zip(group, numbers)])
-            future = pool.submit(gpu.play, found.loaded, place.spec, place.given, tasks, stop)
-            try:
-                wait([future])
-            except BaseException:
-                stop[0] = 1
-                raise
-            finally:
-                why_not = _put_all(group, numbers, future) or why_not
-            tell()
+        return []
+    (loaded, why, _), stop, why_not = gpu.load_gpu(), np.zeros(1, np.int32), list[str]()
+    left = [[run.left[run.left != run.detailed] for run in group] for group in groups]
+
+    def call(i: int, _: int) -> gpu.Played | None:
+        assert loaded is not None
+        place, tasks = groups[i][0].place, [run.tasks[own] for run, own in zip(groups[i], left[i])]
+        try:
+            return gpu.play(loaded, place.spec, place.given, np.concatenate(tasks), stop)
+        except (MemoryError, RuntimeError) as error:
+            why_not.append(str(error))
+
+    def keep(i: int, _: int, played: gpu.Played | None) -> None:
+        ends = np.cumsum([len(own) for own in left[i]])
+        parts = [] if played is None else np.split(played.results, ends[:-1])
+        for run, own, results in zip(groups[i], left[i], parts):
+            run.put(own, episodes.Played(results, None, None, None, None), ON_GPU)
+
+    if loaded is None:
+        why_not.append(why)
+    else:  # in a thread: the calling one hears Ctrl-C
+        share_out([Pieces(len(groups), 1, call, keep)], 1, tell, lambda: stop.fill(1))
+    for line in why_not:
+        warn_once(line, "the CPU's cores run the episodes")
     return why_not
-
-
-def _told(why_not: str) -> str:
-    """Say once why a GPU does not run episodes."""
-    warn_once(why_not, "the CPU's cores run the episodes")
-    return why_not
-
-
-def _put_all(group: Sequence[NativeRun], numbers: Sequence[np.ndarray], future: Future[gpu.Played | None]) -> str:
-    """Keep what a GPU has found for some runs, once it has; return why it could not go on, or ""."""
-    try:
-        played = future.result()
-    except (MemoryError, RuntimeError) as error:
-        return _told(str(error))
-    at = 0
-    for run, own in zip(group, numbers):
-        if played is not None:
-            run.put(own, episodes.Played(played.results[at : at + len(own)], None, None, None, None), ON_GPU)
-        at += len(own)
-    return ""
 
 
 def show_episode(
@@ -268,18 +235,10 @@ def show_episode(
     if not is_exact(lidar) or found.loaded is None or final.plans is None:
         return None
     rules = dataclasses.replace(rules, max_steps=max(len(final.rows) - 1, 1), max_plans=None)
-    place, ring = (
-        native_place(found.loaded, world, strategy, lidar, rules, is_replay=True).inner,
-        ring_of(world.occupied),
-    )
+    # Instead of the nearest cells it has recorded targets.
+    place, *_, ring = native_place(found.loaded, world, strategy._replace(policy=closest()), lidar, rules)
     made = [plan for plan in final.plans if plan.target is not None]
-    script = episodes.Script(
-        targets=np.array([plan.target for plan in made], np.int32).reshape(-1, 2) + ring,
-        is_view=np.array([plan.is_view for plan in made], bool),
-        motions=[plan.motions for plan in made],
-        looked=final.looked,
-    )
     task = place.tasks(tasks_of(np.asarray([start]), ring), 0, np.zeros(1, np.int32))
-    codes, headings = place.replay(task, script, np.asarray(shown), frontier)
+    codes, headings = place.replay(task, made, ring, final.looked, np.asarray(shown), frontier)
     height, width = world.shape
     return codes[:, ring : ring + height, ring : ring + width], headings

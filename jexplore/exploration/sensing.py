@@ -24,6 +24,12 @@ def stacked(given: Given, maps: Array) -> tuple[Array, Array]:
     return maps.reshape(-1, maps.shape[-1]), given.scene * maps.shape[-2]
 
 
+def own_map(given: Given, maps: Array) -> Array:
+    """Return the map of the run's own world, `[H, W]`, of maps of all worlds."""
+    rows, base = stacked(given, maps)
+    return lax.dynamic_slice(rows, (base, jnp.int32(0)), maps.shape[1:])
+
+
 def blank_grid(given: Given) -> Grid:
     """Return the map of a robot that has seen nothing yet: what it knows all the same counts as seen once."""
     truth = given.scenes
@@ -77,12 +83,7 @@ def explorable_and_knowable(given: Given, row: Array, col: Array, within: Array 
 
     These are what a scanner without noise can come to know: the free ones and their walls.
     """
-    truth, shape = given.scenes, given.scenes.occupied.shape[1:]
-
-    def own(maps: Array) -> Array:
-        return lax.dynamic_slice(maps.reshape(-1, shape[1]), (given.scene * shape[0], jnp.int32(0)), shape)
-
-    occupied, region = own(truth.occupied), own(truth.region)
+    occupied, region = own_map(given, given.scenes.occupied), own_map(given, given.scenes.region)
     explorable = (region == region[row, col]) & ~occupied
     walls = occupied if within is None else occupied & within
     near = bordered(explorable, False)
@@ -114,8 +115,7 @@ def connected(
 
 def find_goal(given: Given, row: Array, col: Array) -> tuple[Array, Array]:
     """Return the cells to be known in the end, those connected to the start, packed; and whether that is enclosed."""
-    maps, base = stacked(given, given.scenes.occupied)
-    occupied = lax.dynamic_slice(maps, (base, jnp.int32(0)), given.scenes.occupied.shape[1:])
+    occupied = own_map(given, given.scenes.occupied)
     within = None if given.scenes.within is None else given.scenes.within[given.scene]
     goal, enclosed = connected(given.numbers.model, ~occupied, occupied, row, col, within)
     return goal, occupied[row, col] | enclosed

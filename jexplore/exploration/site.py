@@ -22,8 +22,8 @@ from jexplore.exploration.trail import record_of
 from jexplore.exploration.uncertain.poses import Unsure, UnsureNumbers, blank_poses
 from jexplore.exploration.uncertain.pursuit import ride_numbers
 from jexplore.grid import in_cells, radius_d2
-from jexplore.native.build import Library
-from jexplore.native.drive import find_target
+from jexplore.native.build import Library, warn_once
+from jexplore.native.drive import load_driving
 from jexplore.planning import MapModel
 from jexplore.policies.catalogue import adapt
 from jexplore.policies.policy import Strategy
@@ -60,7 +60,10 @@ def drive_for(platform: str) -> Library:
     Only a CPU has native driving. Warns once in a process where it cannot be built.
     """
     is_native = platform == "cpu" and not jax.config.values["jax_disable_jit"]
-    return find_target() if is_native else Library(None)
+    found = load_driving() if is_native else Library(None)
+    if found.why_not:
+        warn_once(found.why_not)
+    return found
 
 
 class Site(NamedTuple):

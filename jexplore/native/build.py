@@ -16,7 +16,7 @@ import shutil
 import subprocess
 import tempfile
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -55,53 +55,52 @@ def warn_once(why_not: str, instead: str = "JAX does without native code") -> No
     warnings.warn(f"{why_not}: {instead}, with the same results", InputWarning, stacklevel=3)
 
 
-def find_compiler() -> list[str]:
-    """Return the command of a C++ compiler: `$CXX` (ValueError at an open quote), the first of `COMPILERS`, or none."""
-    own = shlex.split(os.environ.get("CXX", ""))
-    return own or [path for path in map(shutil.which, COMPILERS) if path][:1]
+def find_compiler(variable: str = "CXX", names: Sequence[str] = COMPILERS) -> list[str]:
+    """Return a compiler's command: that of a variable (ValueError at an open quote), the first of some, or none."""
+    own = shlex.split(os.environ.get(variable, ""))
+    return own or [path for path in map(shutil.which, names) if path][:1]
 
 
 def load_library(
-    sources: Sequence[Path], flags: Sequence[str] = (), check: Callable[[ctypes.CDLL], str] | None = None
+    sources: Sequence[Path], flags: Sequence[str] = (), variable: str = "CXX", names: Sequence[str] = COMPILERS
 ) -> Library:
-    """Load a C++ library, built if missing, once in a process for each compiler; of `sources` the first is compiled.
+    """Load a library, built if missing, once in a process for each compiler; of `sources` the first is compiled.
 
-    `check` returns the error of a library, or ""; a newly built one that fails is not kept. Without a library if the
-    compiler is missing, building fails, or nothing can be written.
+    Those in C++ are built with `FLAGS`, too. Without a library if the compiler is missing, building fails, or nothing
+    can be written.
     """
     try:
-        compiler = tuple(find_compiler())
+        compiler = find_compiler(variable, names)
     except ValueError as error:
-        return Library(None, f"CXX must be a command, got {os.environ['CXX']!r}: {str(error).lower()}")
+        return Library(None, f"{variable} must be a command, got {os.environ[variable]!r}: {str(error).lower()}")
+    what, common = ("C++ compiler", FLAGS) if variable == "CXX" else (names[0], ())
     if not compiler:
-        return Library(None, f"no C++ compiler was found: expected one of {', '.join(COMPILERS)}, or its name in CXX")
-    return build_library(tuple(sources), (*compiler, *FLAGS, *flags), check)
+        return Library(None, f"no {what} was found: expected one of {', '.join(names)}, or its name in {variable}")
+    return build_library(tuple(sources), (*compiler, *common, *flags))
 
 
 @functools.lru_cache(maxsize=16)
-def build_library(
-    sources: tuple[Path, ...], command: tuple[str, ...], check: Callable[[ctypes.CDLL], str] | None = None
-) -> Library:
+def build_library(sources: tuple[Path, ...], command: tuple[str, ...]) -> Library:
     """Load what a compiler's command makes of sources, as `load_library` does."""
     what = "|".join((platform.machine(), platform.system(), *command)).encode()
     digest = hashlib.sha256(what + b"".join(source.read_bytes() for source in sources)).hexdigest()[:16]
     name = f"{sources[0].stem}_{digest}"
     try:
-        loaded = _load(sources[0], cache_folder() / f"{name}.so", command, check)
+        loaded = _load(sources[0], cache_folder() / f"{name}.so", command)
     except subprocess.CalledProcessError as error:
         telling = "error", os.strerror(errno.ENOSPC)
         lines = [line for line in error.stderr.splitlines() if any(word in line for word in telling)]
         lines = lines or [f"exit status {error.returncode}"]
         return Library(None, f"{command[0]} could not build {sources[0].name}: {lines[0].strip()}")
-    except (OSError, RuntimeError, AttributeError, subprocess.TimeoutExpired) as error:  # RuntimeError: no home
+    except (OSError, RuntimeError, subprocess.TimeoutExpired) as error:  # RuntimeError: no home
         return Library(None, f"{sources[0].name} could not be built by {command[0]} or loaded: {error}")
     return Library(loaded, name=name)
 
 
-def _load(source, library, command, check):
+def _load(source, library, command):
     """Return the library, built if it is missing or does not load."""
     if library.is_file():
-        with contextlib.suppress(OSError, AttributeError):  # not whole, or built against other libraries
+        with contextlib.suppress(OSError):  # not whole, or built against other libraries
             return ctypes.CDLL(str(library))
     # Built and loaded next to its place, then moved there: concurrent builds do no harm.
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
@@ -111,8 +110,5 @@ def _load(source, library, command, check):
             check=True, capture_output=True, text=True, errors="replace", timeout=BUILD_S,
         )  # fmt: skip
         loaded = ctypes.CDLL(str(made))
-        wrong = check(loaded) if check else ""
-        if wrong:
-            raise OSError(wrong)
         os.replace(made, library)
     return loaded

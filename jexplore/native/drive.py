@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jexplore.native.build import FOLDER, Library, load_library, warn_once
+from jexplore.native.build import FOLDER, Library, load_library
 from jexplore.native.kernels import KERNELS, call, numbers
 
 SOURCES = tuple(
@@ -37,10 +37,13 @@ class Stage(enum.IntEnum):
     ANSWERED = 2  # after it: the strategy has said whether its target is live
 
 
+_registered: set[str | None] = set()  # names of libraries
+
+
 def load_driving() -> Library:
     """Return the library, built if need be; its name is a target of JAX's FFI."""
     flags = f"-I{jax.ffi.include_dir()}", f'-DJAXLIB="{version("jaxlib")}"'
-    found = load_library(SOURCES, flags, _check)
+    found = load_library(SOURCES, flags)
     if found.loaded is None or found.name in _registered:
         return found
     try:
@@ -50,26 +53,6 @@ def load_driving() -> Library:
     except AttributeError as error:
         return Library(None, f"{SOURCES[0].name} could not be loaded: {error}")
     _registered.add(found.name)
-    return found
-
-
-def _check(loaded):
-    missing = [kernel for kernel in KERNELS if not hasattr(loaded, f"jexplore_{kernel}")]
-    return f"it has no jexplore_{missing[0]}" if missing else ""
-
-
-_registered: set[str | None] = set()  # names of libraries
-
-
-def find_target() -> Library:
-    """Return the library, as `load` does, and say once in a process if it cannot be had, and why.
-
-    Warns:
-      InputWarning: no compiler, one that fails, or no writable folder for its output.
-    """
-    found = load_driving()
-    if found.loaded is None:
-        warn_once(found.why_not)
     return found
 
 

@@ -1,21 +1,18 @@
 """Batches of whole episodes by an NVIDIA GPU: a warp an episode. Built by nvcc on first use."""
 
 import ctypes
-import os
-import shlex
-import shutil
 from collections.abc import Sequence
 from ctypes import POINTER, Structure, c_char_p, c_double, c_int, c_int32, c_int64, c_void_p
-from pathlib import Path
 from typing import NamedTuple
 
 import jax
 import numpy as np
 
-from jexplore.native.build import FOLDER, Library, build_library
+from jexplore.native.build import FOLDER, Library, load_library
 from jexplore.native.episodes import RESULT, TASK, Given, Spec, as_struct
 
 SOURCES = tuple(FOLDER / name for name in ("gpu.cu", "warp_host.h", "warp.h", "world.h", "rules.h"))
+COMPILERS = ("nvcc", "/usr/local/cuda/bin/nvcc")
 FLAGS = ("-std=c++17", "-O3", "-shared", "-Xcompiler", "-fPIC", "-cudart", "static")
 PARTS = ("scan", "masks", "search", "way")  # `Part` in warp.h
 
@@ -37,25 +34,12 @@ class Played(NamedTuple):
     measured: Measured
 
 
-def find_nvcc() -> list[str]:
-    """Return the command of CUDA's compiler: `$NVCC` if that is set, else nvcc; or none."""
-    own = shlex.split(os.environ.get("NVCC", ""))
-    places = (shutil.which("nvcc"), "/usr/local/cuda/bin/nvcc")
-    return own or [place for place in places if place and Path(place).is_file()][:1]
-
-
 def load_gpu(arch: str = "native", flags: Sequence[str] = ()) -> Library:
     """Return the library for a kind of GPU, built if need be; `arch` as nvcc names it ("sm_90"), or this machine's.
 
     `flags`: of nvcc, besides `FLAGS`; "-DJEXPLORE_CLOCKS" has the time of each part told.
     """
-    try:
-        nvcc = find_nvcc()
-    except ValueError as error:  # an open quote
-        return Library(None, f"NVCC must be a command, got {os.environ['NVCC']!r}: {str(error).lower()}")
-    if not nvcc:
-        return Library(None, "no nvcc was found: expected CUDA's compiler on the path, or its name in NVCC")
-    found = build_library(SOURCES, (*nvcc, *FLAGS, f"-arch={arch}", *flags))
+    found = load_library(SOURCES, (*FLAGS, f"-arch={arch}", *flags), "NVCC", COMPILERS)
     if found.loaded is not None:
         found.loaded.jexplore_gpu_episodes.argtypes = [
             POINTER(Spec), c_void_p, c_void_p, c_int64, c_void_p, c_void_p, c_int, POINTER(Measured), c_char_p,

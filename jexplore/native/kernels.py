@@ -41,39 +41,6 @@ def target_of(native: str | None) -> str | None:
     return None if jax.config.values["jax_disable_jit"] else native
 
 
-def field(
-    native: str,
-    cells: Array,
-    row: Array,
-    col: Array,
-    clearance_d2: int,
-    connectivity: int,
-    least: int,
-    *,
-    nearest_only: bool,
-) -> tuple[Array, Array, Array]:
-    """Return `(traversable, cost, candidates)`, `[H, W]` each, of `planning.cells_of`; see `planning.field`."""
-    results = [(cells.shape, bool), (cells.shape, jnp.int32), (cells.shape, bool)]
-    terms = numbers([row, col, clearance_d2, nearest_only, connectivity, least])
-    traversable, cost, candidates = call(native, "field", results, cells, terms)
-    return traversable, cost, candidates
-
-
-def clusters(native: str, candidates: Array, cost: Array, most: int, max_cells: int) -> tuple[Array, Array]:
-    """Return row, col and size of clusters, `[3, most]` int32, and how many there are and cells were left out, `[2]`
-    int32; see `frontier.frontier_clusters`.
-    """
-    results = [((3, most), jnp.int32), ((2,), jnp.int32)]
-    found, told = call(native, "clusters", results, candidates, cost, numbers([max_cells]))
-    return found, told
-
-
-def lay(native: str, route: Array, cost: Array, traversable: Array, start: Any, target: Any) -> Array:
-    """Return the route; see `planning.readout.lay_route`."""
-    terms = numbers([*start, *target])
-    return call(native, "lay", [(route.shape, jnp.int8)], route, cost, traversable, terms, in_place=1)[0]
-
-
 def look(
     native: str,
     stops: Array,
@@ -99,24 +66,6 @@ def look(
     return call(native, "look", [result], cells, at, beams.by_beam, beams.length, d2, terms)[0]
 
 
-def apart(native: str, cells: Array, at: Array, n: Array | int, side: int, start: Array, clearance_d2: int) -> Array:
-    """Return what paths between the first n of some cells cost, `[M, M]` int32; see `policies.clusters.paths_apart`."""
-    m = at.shape[1]
-    return call(
-        native, "apart", [((m, m), jnp.int32)], cells, at, numbers([n, side, clearance_d2, *(-start[:2] % side)])
-    )[0]
-
-
-def cast(
-    native: str, occupied: Array, xy: Array, direction: Array, reach: Array, base: Array | int
-) -> tuple[Array, Array]:
-    """Return distance and hit, `[B]` each, of beams; see `slam2d.beams.cast`."""
-    n = direction.shape[:1]
-    terms = jnp.float32(reach), numbers([base])
-    distance, hit = call(native, "cast", [(n, jnp.float32), (n, bool)], occupied, xy, direction, *terms)
-    return distance, hit
-
-
 def fold(
     native: str, grid: Grid, xy: Array, direction: Array, reading: Any, reach: Array, extent: Array,
     within: Array | None = None, *, ends_first: bool = False,
@@ -132,38 +81,3 @@ def fold(
         numbers([*jnp.unstack(extent), int(ends_first)]), in_place=2,
     )  # fmt: skip
     return Grid(hits, misses), fresh[0]
-
-
-def enter(native: str, maps: Sequence[Array], count: Array, overflow: Array, new: Any, scale: Array) -> list[Array]:
-    """Return x, y, both normals and the index of a point map with the points of a scan, changed in place, then how many
-    it has and had no room for; `new`: `slam2d.points.New`.
-    """
-    reals = jnp.stack([new.x, new.y, new.normal_x, new.normal_y, new.scan_x, new.scan_y, new.far2])
-    given_up = *maps, numbers([count, overflow])
-    results = [(a.shape, a.dtype) for a in given_up]
-    terms = jnp.stack([new.row, new.col]), new.inside, scale
-    *maps, told = call(native, "enter", results, *given_up, reals, *terms, in_place=len(given_up))
-    return [*maps, told[0], told[1]]
-
-
-def coarse(
-    native: str,
-    near: Array,
-    cells: Array,
-    valid: Array,
-    first: Sequence[Array],
-    size: Sequence[int],
-    most: Array,
-    n: int,
-) -> tuple[Array, Array]:
-    """Return sums of the least costs in blocks, `[T, n, n]` int32, and the picture; see `slam2d.search`."""
-    margin = 12
-    results = [((cells.shape[1], n, n), jnp.int32), (tuple(side + margin for side in size), jnp.int16)]
-    sums, cost = call(native, "coarse", results, near, cells, valid, numbers([*first, most]))
-    return sums, cost
-
-
-def fine(native: str, cost: Array, cells: Array, valid: Array, which: Array, most: Array, n: int) -> Array:
-    """Return sums of costs in blocks, `[M, 36]` int32; see `slam2d.search`."""
-    result = [((which.shape[1], 36), jnp.int32)]
-    return call(native, "fine", result, cost, cells, valid, which, numbers([most, n]))[0]

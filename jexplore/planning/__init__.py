@@ -187,9 +187,11 @@ def field(belief: Belief, *, nearest_only: bool = False) -> Field:
     """
     native, height = kernels.target_of(belief.model.native), belief.driven.shape[0]
     if native:
-        model = belief.model
-        where = belief.row, belief.col, model.clearance_d2, model.connectivity, model.least
-        return Field(*kernels.field(native, cells_of(belief), *where, nearest_only=nearest_only))
+        model, cells = belief.model, cells_of(belief)
+        results = [(cells.shape, kind) for kind in (bool, jnp.int32, bool)]
+        rules = model.clearance_d2, nearest_only, model.connectivity, model.least
+        terms = kernels.numbers([belief.row, belief.col, *rules])
+        return Field(*kernels.call(native, "field", results, cells, terms))
     masks = masks_of(belief)
     traversable, frontier = bits.unpack(masks.traversable), bits.unpack(masks.frontier)
     frontier = large_groups(frontier, belief.model.least)
@@ -219,7 +221,8 @@ def choose(belief: Belief, route: Array, reached: Field, row: Array, col: Array)
     target = (jnp.where(none, belief.row, row), jnp.where(none, belief.col, col))
     native = kernels.target_of(belief.model.native)
     if native:
-        route = kernels.lay(native, route, reached.cost, reached.traversable, start, target)
+        maps, terms = (route, reached.cost, reached.traversable), kernels.numbers([*start, *target])
+        (route,) = kernels.call(native, "lay", [(route.shape, jnp.int8)], *maps, terms, in_place=1)
     else:
         route = lay_route(route, reached.cost, reached.traversable, start, target, (0, 0))
     cost = jnp.where(none, FAR, reached.cost[target])

@@ -1,7 +1,6 @@
 """Common code of strategies that choose among frontier clusters: clusters, expected scans, distances between them."""
 
 import dataclasses
-import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, Self
@@ -13,7 +12,7 @@ from jax import Array, lax
 from jexplore.arrays import bits
 from jexplore.arrays.loops import repeat
 from jexplore.frontier import clear_cells, frontier_clusters, most_cells
-from jexplore.gain import look, prospect, stops_and_unknown, unknown_within
+from jexplore.gain import seen_within, stops_and_unknown
 from jexplore.native import kernels
 from jexplore.native.kernels import EVERY
 from jexplore.planning import Belief, Choice, Field, cells_of, choose, field, known_of, metres
@@ -41,8 +40,9 @@ def targets(belief: Belief, reached: Field) -> Targets:
     """Find the `Targets` of a belief and its `Field`."""
     native = kernels.target_of(belief.model.native)
     if native:
-        shape = reached.cost.shape
-        (row, col, size), told = kernels.clusters(native, reached.frontier, reached.cost, CLUSTERS, most_cells(shape))
+        results = [((3, CLUSTERS), jnp.int32), ((2,), jnp.int32)]
+        most = kernels.numbers([most_cells(reached.cost.shape)])
+        (row, col, size), told = kernels.call(native, "clusters", results, reached.frontier, reached.cost, most)
         overflow = jnp.maximum(told[0] - CLUSTERS, 0) + told[1]
     else:
         found = frontier_clusters(reached.frontier, reached.cost, max_clusters=CLUSTERS)
@@ -53,47 +53,22 @@ def targets(belief: Belief, reached: Field) -> Targets:
     return Targets(row, col, used, path_m, size, overflow)
 
 
-def seen_from(belief: Belief, at: Targets, beams: Beams) -> tuple[Array, Array]:
-    """Count unknown and known cells that a look-around at every target would see: `[M]` int32 each, 0 if unused."""
-    if kernels.target_of(belief.model.native):
-        unknown, known = _seen_natively(belief, at, beams)
-        return unknown, known
+def looks(
+    belief: Belief, at: Targets, beams: Beams, radii_m: Sequence[float] = (math.inf,), enough: Array | int = EVERY
+) -> Array:
+    """Count cells that a look-around at every target would see: `[R + 1, M]` int32, 0 if unused.
 
-    def tell(*args):
-        told = look(*args)
-        return jnp.stack([told.unknown, told.known])
-
-    seen = _from_each(belief, at, beams, tell, 2)
-    return seen[0], seen[1]
-
-
-def shown_from(belief: Belief, at: Targets, beams: Beams, enough: Array | int) -> Array:
-    """Count unknown cells as `seen_from`; native code stops at `enough`: exact below that, else at least that."""
-    if kernels.target_of(belief.model.native):
-        return _seen_natively(belief, at, beams, enough=enough)[0]
-    return seen_from(belief, at, beams)[0]
-
-
-def unknown_from(belief: Belief, at: Targets, beams: Beams, radii_m: Sequence[float]) -> Array:
-    """Count unknown cells that a look-around at every target would show within R distances: `[R, M]` int32."""
+    Unknown cells within R distances, then known ones. Native code stops at `enough` unknown cells: their number is
+    exact below that, else at least that.
+    """
     d2 = (jnp.asarray(radii_m, jnp.float32) / belief.model.cell_m) ** 2
-    if kernels.target_of(belief.model.native):
-        return _seen_natively(belief, at, beams, d2)[:-1]
-    return _from_each(belief, at, beams, functools.partial(unknown_within, d2=d2), len(radii_m))
-
-
-def _seen_natively(belief, at, beams, d2: Any = (math.inf,), enough: Any = EVERY):
-    """Return what `kernels.look` tells of every target: `[R + 1, M]` int32."""
-    maps = stops_and_unknown(known_of(belief), beams.all_round)
-    where = jnp.stack([at.row, at.col]), jnp.sum(at.used, dtype=jnp.int32), beams.all_round
-    return kernels.look(belief.model.native, *maps, *where, d2, enough)
-
-
-def _from_each(belief, at, beams, tell, n_told):
-    """Evaluate a look-around, `tell(prospect, row, col, beams)`, at every target: `[n_told, M]` int32."""
-    beams = beams.all_round
-    ahead = prospect(known_of(belief), beams)
-    return at_each(at, lambda row, col: tell(ahead, row, col, beams), jnp.zeros((n_told, *at.row.shape), jnp.int32))
+    beams, native = beams.all_round, kernels.target_of(belief.model.native)
+    maps = stops_and_unknown(known_of(belief), beams)
+    if native:
+        where = jnp.stack([at.row, at.col]), jnp.sum(at.used, dtype=jnp.int32), beams
+        return kernels.look(native, *maps, *where, d2, enough)
+    blank = jnp.zeros((len(radii_m) + 1, *at.row.shape), jnp.int32)
+    return at_each(at, lambda row, col: seen_within(*maps, row, col, beams, d2), blank)
 
 
 def at_each(at: Targets, tell: Callable[[Array, Array], Array], blank: Array) -> Array:
@@ -128,8 +103,9 @@ def paths_apart(belief: Belief, at: Targets) -> Array:
     side, n = block_side(belief.model.clearance_d2), jnp.sum(at.used, dtype=jnp.int32)
     native = kernels.target_of(belief.model.native)
     if native:
-        where = jnp.stack([at.row, at.col])
-        table = kernels.apart(native, cells_of(belief), where, n, side, belief.start, belief.model.clearance_d2)
+        terms = kernels.numbers([n, side, belief.model.clearance_d2, *(-belief.start[:2] % side)])
+        result = [(2 * at.row.shape, jnp.int32)]
+        (table,) = kernels.call(native, "apart", result, cells_of(belief), jnp.stack([at.row, at.col]), terms)
     else:
         table = _costs_apart(belief, at, n, side)
     table = jnp.where(at.used[None] & at.used[:, None], table, FAR)

@@ -16,7 +16,7 @@ from jax import Array
 
 from jexplore.config import require_number, require_whole
 from jexplore.native.kernels import EVERY
-from jexplore.policies.clusters import Best, paths_apart, shown_from
+from jexplore.policies.clusters import Best, looks, paths_apart
 from jexplore.policies.policy import MinGain, Policy, Span, no_carry
 
 MIN_COUNT = 1e-6  # keeps a quotient finite where nothing counts
@@ -49,7 +49,7 @@ def mean_apart(apart_m: Array, used: Array, counts: Array | float = 1.0) -> Arra
 
 def _judge(params, belief, at, beams):
     exact = params.by_area | (params.side_weight > 0)
-    unknown = shown_from(belief, at, beams, jnp.where(exact, EVERY, params.min_gain))
+    unknown, _ = looks(belief, at, beams, enough=jnp.where(exact, EVERY, params.min_gain))
     usable, area = at.used & (unknown >= params.min_gain), unknown.astype(jnp.float32)
     counts = jnp.where(params.by_area, area, 1.0)
     worth = advantage(at.path_m, paths_apart(belief, at), usable, params.weight, counts)

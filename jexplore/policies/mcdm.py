@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jexplore.config import InputError, require_number
-from jexplore.policies.clusters import Best, seen_from
+from jexplore.policies.clusters import Best, looks
 from jexplore.policies.policy import Policy, Span, no_carry
 
 Weight: TypeAlias = Annotated[float, Span(0.0, 1.0)]
@@ -51,7 +51,7 @@ def choquet(utilities: Array, measure: Array) -> Array:
 
 
 def _judge(params, belief, at, beams):
-    unknown, seen_known = seen_from(belief, at, beams)
+    unknown, seen_known = looks(belief, at, beams)
     criteria = unknown.astype(jnp.float32), -jnp.where(at.used, at.path_m, 0.0), seen_known.astype(jnp.float32)
     utilities = jnp.stack([relative(value, at.used) for value in criteria])
     measure = jnp.stack([jnp.float32(0), params.a, params.d, params.ad, params.o, params.ao, params.do, jnp.float32(1)])

@@ -13,7 +13,7 @@ from jax import Array, lax
 from jexplore.arrays.loops import repeat
 from jexplore.config import require_whole
 from jexplore.planning import Belief, field
-from jexplore.policies.clusters import CLUSTERS, Targets, go_to, paths_apart, shown_from, targets
+from jexplore.policies.clusters import CLUSTERS, Targets, go_to, looks, paths_apart, targets
 from jexplore.policies.policy import MinGain, Policy, no_carry
 from jexplore.raycast import Beams
 
@@ -96,7 +96,7 @@ def two_opt(length: Array, route: Array, n: Array | int) -> Array:
 
 def stops_of(belief: Belief, at: Targets, beams: Beams, min_gain: Array | int) -> Array:
     """Return the clusters that a route visits, those that show enough, else all: `[M]` bool."""
-    usable = at.used & (shown_from(belief, at, beams, min_gain) >= min_gain)
+    usable = at.used & (looks(belief, at, beams, enough=min_gain)[0] >= min_gain)
     return jnp.where(jnp.any(usable), usable, at.used)
 
 

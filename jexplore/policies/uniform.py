@@ -33,8 +33,3 @@ def _select(key, params, carry, belief, beams, route):
 def uniform() -> Policy:
     """Return the policy. Carry: `()`. Parameters: none."""
     return Policy(no_carry, _select)
-
-
-def is_uniform(policy: Policy) -> bool:
-    """Return whether a policy chooses exactly as this one."""
-    return policy.select is _select

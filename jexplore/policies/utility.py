@@ -9,7 +9,7 @@ of coverage maps. The utility of Burgard, Moors, Stachniss, Schneider, "Coordina
 from typing import Annotated, NamedTuple
 
 from jexplore.config import require_number, require_whole
-from jexplore.policies.clusters import Best, seen_from
+from jexplore.policies.clusters import Best, looks
 from jexplore.policies.policy import MinGain, Policy, Span, no_carry
 
 
@@ -21,7 +21,7 @@ class Params(NamedTuple):
 
 
 def _judge(params, belief, at, beams):
-    unknown, _ = seen_from(belief, at, beams)
+    unknown, _ = looks(belief, at, beams)
     return unknown * belief.model.cell_m**2 - params.beta * at.path_m, unknown >= params.min_gain
 
 

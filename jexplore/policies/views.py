@@ -21,7 +21,7 @@ from jax import Array, lax
 from jexplore.arrays import bits
 from jexplore.arrays.loops import repeat
 from jexplore.config import require_number, require_whole
-from jexplore.gain import look, most, prospect, stops_and_unknown, unknown_seen
+from jexplore.gain import look, most, prospect, seen_within, stops_and_unknown
 from jexplore.native import kernels
 from jexplore.planning import Belief, Choice, Field, choose, field, known_of, metres, nearest_of
 from jexplore.policies.policy import MinGain, Policy, Span, no_carry
@@ -159,12 +159,12 @@ SELECT = functools.partial(select, gain_for_path)
 
 def live(params: Any, belief: Belief, beams: Beams, row: Array, col: Array) -> Array:
     """Return the `live` of such a strategy: a look-around at the view point would still show `params.min_gain`."""
-    known, beams = known_of(belief), beams.all_round
-    if native := kernels.target_of(belief.model.native):
-        maps, at = stops_and_unknown(known, beams), jnp.stack([row, col])[:, None]
-        seen = kernels.look(native, *maps, at, 1, beams, enough=params.min_gain)[0, 0]
+    beams, native = beams.all_round, kernels.target_of(belief.model.native)
+    maps = stops_and_unknown(known_of(belief), beams)
+    if native:
+        seen = kernels.look(native, *maps, jnp.stack([row, col])[:, None], 1, beams, enough=params.min_gain)[0, 0]
     else:
-        seen = unknown_seen(known, row, col, beams)
+        seen = seen_within(*maps, row, col, beams, jnp.full(1, jnp.inf))[0]
     return seen >= params.min_gain
 
 

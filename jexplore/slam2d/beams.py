@@ -53,7 +53,10 @@ def cast(
     """
     native = kernels.target_of(native)
     if native is not None:
-        return Reading(*kernels.cast(native, occupied, xy, direction, reach, base), jnp.ones(direction.shape[0], bool))
+        n, terms = direction.shape[:1], (jnp.float32(reach), kernels.numbers([base]))
+        results = [(n, jnp.float32), (n, bool)]
+        distance, hit = kernels.call(native, "cast", results, occupied, xy, direction, *terms)
+        return Reading(distance, hit, jnp.ones(n, bool))
     (row, col), geometry, crossed, entered = _begin(xy, direction)
     flat, width, row = occupied.reshape(-1), occupied.shape[1], row + base
 

@@ -138,9 +138,11 @@ def add(settings: SlamSettings, points: PointMap, scan: Scan, pose: Array) -> Po
     native = kernels.target_of(points.native)
     if native is not None:
         names = "x", "y", "normal_x", "normal_y", "near"
-        maps = [getattr(points, name) for name in names]
-        *maps, count, overflow = kernels.enter(native, maps, points.count, points.overflow, new, scale)
-        return points.replace(**dict(zip(names, maps)), count=count, overflow=overflow)
+        given_up = *(getattr(points, name) for name in names), kernels.numbers([points.count, points.overflow])
+        terms = jnp.stack([*new[:4], own_x, own_y, far2]), jnp.stack([row, col]), inside, scale
+        results = [(a.shape, a.dtype) for a in given_up]
+        *maps, told = kernels.call(native, "enter", results, *given_up, *terms, in_place=len(given_up))
+        return points.replace(**dict(zip(names, maps)), count=told[0], overflow=told[1])
     chosen, first = _chosen(points, new, scale)
     number = points.count + jnp.sum(chosen[None] & first, axis=1, dtype=jnp.int32)
     size = points.x.shape[0]

@@ -120,7 +120,9 @@ def _coarse(settings, points, scan, cells, row, col, window):
     most, n, native = most_steps(settings), 2 * window.blocks, kernels.target_of(points.native)
     if native is not None:
         size, first = _square(points, row, col, window.side)
-        return kernels.coarse(native, points.near, cells, scan.valid, first, size, most, n)
+        results = [((cells.shape[1], n, n), jnp.int32), (tuple(side + 2 * BLOCK for side in size), jnp.int16)]
+        terms = kernels.numbers([*first, most])
+        return tuple(kernels.call(native, "coarse", results, points.near, cells, scan.valid, terms))
     cost, _, _ = picture(settings, points, row, col, window.side)
     cost = jnp.pad(cost, BLOCK, constant_values=most.astype(jnp.int16))  # or a block across the edge is no bound
     floors, blocks = _block_minima(cost, most.astype(jnp.int16)), jnp.arange(-window.blocks, window.blocks) * BLOCK
@@ -135,7 +137,9 @@ def _fine(settings, points, scan, cells, cost, which, n):
     """Return sums of costs in blocks `[3, M]` int32, turn, row and column: `[M, BLOCK, BLOCK]` int32, steps."""
     most, native = most_steps(settings), kernels.target_of(points.native)
     if native is not None:
-        return kernels.fine(native, cost, cells, scan.valid, which, most, n).reshape(-1, BLOCK, BLOCK)
+        result, terms = [((which.shape[1], BLOCK**2), jnp.int32)], kernels.numbers([most, n])
+        (sums,) = kernels.call(native, "fine", result, cost, cells, scan.valid, which, terms)
+        return sums.reshape(-1, BLOCK, BLOCK)
     inside = jnp.arange(BLOCK)
 
     def total(k, i, j):

@@ -18,7 +18,7 @@ from jexplore.exploration.results import progress_m
 from jexplore.exploration.site import rule_numbers
 from jexplore.exploration.state import Numbers, Outcome, Setup, Stream, Truth
 from jexplore.exploration.trail import decode, detail_of
-from jexplore.native.drive import find_target
+from jexplore.native.drive import load_driving
 from jexplore.planning import MapModel
 from jexplore.policies import parse_strategy
 from jexplore.raycast import Beams, beam_table, by_beam, disturb, scan, scans_all_round
@@ -141,7 +141,7 @@ def play(
         lidar.sigma_m > 0 or lidar.dropout > 0,
         CAPACITY,
         window,
-        find_target().name if native else None,
+        load_driving().name if native else None,
         ends=rules.stop_at is not None or rules.return_home,
     )
     numbers = numbers_of(strategy, lidar, rules, cell_m, max(shape), robot)

@@ -20,7 +20,7 @@ from jexplore.exploration.state import Outcome, Setup, Stream
 from jexplore.exploration.team.episode import decode, detail_of, program_of
 from jexplore.exploration.team.state import TeamSetup, TeamTask
 from jexplore.exploration.team.team import EVERYBODY, NOBODY, Contact, read_coordination
-from jexplore.native.drive import find_target
+from jexplore.native.drive import load_driving
 from jexplore.policies import parse_strategy
 from jexplore.raycast import scans_all_round
 from jexplore.rules import Lidar, Robot, Rules
@@ -349,7 +349,7 @@ def play(case, native=True):
     strategy = parse_strategy(name)
     robot = Setup(strategy.policy._replace(params=()), 0, False, 1)
     setup = TeamSetup(robot, len(case.starts), read_coordination(case.coordination), CAPACITY, bool(case.paces))
-    setup = setup._replace(native=find_target().name if native else None)
+    setup = setup._replace(native=load_driving().name if native else None)
     rules = case.rules.replace(max_steps=case.rules.max_steps or CAPACITY, max_plans=case.rules.max_plans or CAPACITY)
     starts = np.array([(row, col, heading // 45) for row, col, heading in case.starts], np.int32)
     found = compiled(

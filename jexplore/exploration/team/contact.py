@@ -12,8 +12,6 @@ from jexplore.exploration.sensing import known_cells, stacked
 from jexplore.exploration.state import State, Stream
 from jexplore.exploration.team.state import TeamState, counts, is_exploring, own_cells, put, take
 from jexplore.grid import Grid
-from jexplore.planning import Belief, Choice, choose, field
-from jexplore.reach import FAR
 
 
 def _sees(given: Given, rows: Array, cols: Array) -> Array:
@@ -116,11 +114,3 @@ def wait(given: Given, team: TeamState, i: Array) -> TeamState:
         clock=team.clock.at[i].add(LENGTHS[0] * given.task.paces[i]),
         hemmed=team.hemmed.at[i].set(False),
     )
-
-
-def go_to(belief: Belief, route: Array, row: Array, col: Array) -> tuple[Choice, Array, Array]:
-    """Choose a cell, if a way leads there: `(choice, route, whether one does)`."""
-    reached = field(belief)
-    is_open = reached.cost[row, col] < FAR
-    choice, route = choose(belief, route, reached, jnp.where(is_open, row, -1), jnp.where(is_open, col, -1))
-    return choice.replace(overflow=jnp.int32(0)), route, is_open

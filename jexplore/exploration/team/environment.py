@@ -36,7 +36,7 @@ from jexplore.exploration import environment
 from jexplore.exploration.motion import LENGTHS, motion_step
 from jexplore.exploration.sensing import blank_grid
 from jexplore.exploration.state import State
-from jexplore.exploration.team.contact import come_together, go_to, meet, wait
+from jexplore.exploration.team.contact import come_together, meet, wait
 from jexplore.exploration.team.coordination import joint_view
 from jexplore.exploration.team.state import (
     ENDED,
@@ -180,7 +180,7 @@ def _plan(setup: TeamSetup, given: Given, team: TeamState, i: Array, heard: Arra
         live = ~(team.hemmed[i] & (choice.row < 0))
         if setup.meets:
             returns, asked = is_due & ~team.hemmed[i] & (choice.row >= 0), (choice, route, jnp.bool_(False))
-            *found, goes = run_if(returns, lambda _: go_to(hemmed, route, *given.task.starts[0, :2]), asked)
+            *found, goes = run_if(returns, lambda _: environment.go_to(hemmed, route, *given.task.starts[0, :2]), asked)
             choice, route = jax.tree.map(lambda new, old: jnp.where(goes, new, old), tuple(found), asked[:2])
             state = state.replace(homing=goes.astype(jnp.int32))  # its target may show nothing
         choice, route = run_if(~live, lambda _: _farthest(hemmed, route), (choice, route))

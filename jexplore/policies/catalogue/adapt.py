@@ -1,12 +1,13 @@
 """A user's strategy as a `Policy` whose functions return what the rules expect, or say in one line what they do not."""
 
 import contextlib
+import dataclasses
 import functools
 import hashlib
 import os
 import re
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, Self
 
 import jax
 import jax.numpy as jnp
@@ -60,31 +61,28 @@ def adapted(policy: Policy) -> Policy:
     return Policy(Init(policy.init), Select(policy.select), policy.params, live)
 
 
+@dataclasses.dataclass(frozen=True)
 class Theirs:
     """A function of a user's. Once it has been traced it is told from others by what it computes, so that two that
     compute the same are compiled once; until then it is equal to itself alone.
     """
 
-    function: Callable[..., Any]
-    fixed: tuple[tuple[str, Any], ...]
-    what: str
-    digest: str | None  # of the whole policy; None before it is traced, and where it cannot be told
+    function: Callable[..., Any] = dataclasses.field(compare=False)
+    fixed: tuple[tuple[str, Any], ...] = dataclasses.field(default=(), compare=False)
+    digest: str | None = dataclasses.field(default=None, compare=False)  # of the policy; None before, or if unknown
+    key: Any = dataclasses.field(init=False, repr=False)  # what tells it from others
 
-    def __init__(
-        self, function: Callable[..., Any], fixed: tuple[tuple[str, Any], ...] = (), digest: Any = None
-    ) -> None:
-        self.function, self.fixed, self.what, self.digest = function, fixed, described(function), digest
-        self._key = type(self), object() if digest is None else digest
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "key", object() if self.digest is None else self.digest)
 
-    def anew(self, digest: str | None = None) -> "Theirs":
+    @property
+    def what(self) -> str:
+        """Return its name and place, for messages."""
+        return described(self.function)
+
+    def anew(self, digest: str | None = None) -> Self:
         """Return the same function, as it is now, or as it was when traced."""
-        return type(self)(self.function, self.fixed, digest)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Theirs) and self._key == other._key
-
-    def __hash__(self) -> int:
-        return hash(self._key)
+        return dataclasses.replace(self, digest=digest)
 
 
 class Score(Theirs):

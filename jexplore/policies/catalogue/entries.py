@@ -1,14 +1,12 @@
-"""The list of strategies: this package's, those that other packages offer, those that a user has registered."""
+"""The list of strategies: this package's, and those that a user has registered."""
 
 import functools
-import importlib.metadata
 import inspect
 import re
 import sys
 from collections.abc import Callable
 from typing import Any, TypeVar, overload
 
-from jexplore.arrays.files import first_line
 from jexplore.config import InputError, checked_names
 from jexplore.policies.closest import closest
 from jexplore.policies.distance_advantage import distance_advantage, small_first
@@ -25,11 +23,9 @@ from jexplore.policies.tour import tour
 from jexplore.policies.uniform import uniform
 from jexplore.policies.utility import utility
 from jexplore.policies.views import decision_theoretic, gain_rate
-from jexplore.users import bare, described, place_of
+from jexplore.users import bare, described
 
 REQUIRED = inspect.Parameter.empty  # default of a parameter without one
-GROUP = "jexplore.strategies"
-"""Entry points of this group, `name = "module:object"`, are strategies that a package offers."""
 STRATEGY_NAME = r"[A-Za-z_][\w.-]*"
 
 STRATEGIES: dict[str, Entry] = {
@@ -196,7 +192,7 @@ def register(name: str, make: Any = None, *, summary: str = "", source: str = ""
         return functools.partial(register, name, summary=summary, source=source, replace=replace)
     if not isinstance(name, str) or not re.fullmatch(STRATEGY_NAME, name):
         raise InputError(f"a strategy's name must be letters, digits, _, . and -, got {name!r}")
-    if not replace and (name in offered() or (name in STRATEGIES and not _is_replaced(STRATEGIES[name].make))):
+    if not replace and name in STRATEGIES and not _is_replaced(STRATEGIES[name].make):
         raise InputError(f"strategy {name!r} is registered already; replace=True puts another in its place")
     if name in STRATEGIES and not STRATEGIES[name].is_own:
         raise InputError(f"strategy {name!r} is one of jexplore's own; choose another name")
@@ -204,36 +200,3 @@ def register(name: str, make: Any = None, *, summary: str = "", source: str = ""
     doc = (inspect.getdoc(make) or "") if inspect.isroutine(make) else ""
     STRATEGIES[name] = Entry(make, summary or doc.partition("\n")[0], source, is_own=True)
     return make
-
-
-@functools.cache
-def offered() -> dict[str, importlib.metadata.EntryPoint]:
-    """Return strategies that installed packages offer: name -> entry point."""
-    return {point.name: point for point in importlib.metadata.entry_points(group=GROUP)}
-
-
-def entry_of(name: str) -> Entry | None:
-    """Return the entry of a strategy; None if it is unknown. One of a package that does not load is refused."""
-    if name not in STRATEGIES and name in offered():
-        point = offered()[name]
-        try:
-            made = point.load()
-        except (Exception, SystemExit) as error:
-            what = f"{type(error).__name__}: {first_line(error)}"
-            raise InputError(f"strategy {name!r} of {_package(point)} does not load: {what}") from error
-        register(name, made, source=_package(point), replace=True)
-    return STRATEGIES.get(name)
-
-
-def _package(point):
-    return point.dist.name if point.dist is not None else point.value
-
-
-def known_names() -> list[str]:
-    """Return all names, those of packages included."""
-    return [*STRATEGIES, *(name for name in offered() if name not in STRATEGIES)]
-
-
-def source_of(entry: Entry) -> str:
-    """Return the source of a strategy: its paper, its package, or its file."""
-    return entry.source or place_of(entry.make)

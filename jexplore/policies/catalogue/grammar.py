@@ -9,36 +9,23 @@ from typing import Any
 
 from jexplore.arrays.pictures import Listing
 from jexplore.config import InputError, require_number, shown, unknown
+from jexplore.policies.catalogue import entries
 from jexplore.policies.catalogue.adapt import adapted, policy_from, with_exact_numbers
-from jexplore.policies.catalogue.entries import (
-    MODIFIERS,
-    REQUIRED,
-    SYNONYMS,
-    entry_of,
-    known_names,
-    parameters,
-    source_of,
-)
+from jexplore.policies.catalogue.entries import MODIFIERS, REQUIRED, SYNONYMS, parameters
 from jexplore.policies.policy import Policy, Span, Strategy
 from jexplore.policies.room_wise import KINDS, segmented
-from jexplore.users import described, import_object, name_of
+from jexplore.users import described, import_object, name_of, place_of
 
 _FOREIGN = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)(?=$|[+:])")
 
 
 def strategies() -> Listing:
-    """List all named strategies, those of packages included, with their parameters; one that does not load says why."""
+    """List all named strategies with their parameters."""
     rows = []
-    for name in known_names():
-        try:
-            entry = entry_of(name)
-            assert entry is not None
-            own = parameters(entry.make).items()
-        except InputError as error:
-            rows.append((name, str(error), "-", ""))
-        else:
-            told = ", ".join(key if value is REQUIRED else f"{key}={value}" for key, value in own)
-            rows.append((name, entry.summary, told or "-", source_of(entry)))
+    for name, entry in entries.STRATEGIES.items():
+        own = parameters(entry.make).items()
+        told = ", ".join(key if value is REQUIRED else f"{key}={value}" for key, value in own)
+        rows.append((name, entry.summary, told or "-", entry.source or place_of(entry.make)))
     return Listing(("strategy", "goes to", "parameters", "source"), tuple(rows))
 
 
@@ -101,7 +88,7 @@ def _unknown(name, rest):
         return InputError(f"unknown strategy {name!r}: a function of {name} is named like {Path(name).stem}:function")
     if os.path.isfile(f"{name}.py"):
         return InputError(f"unknown strategy {name!r}: a function of {name}.py is named like {name}:function")
-    return unknown("strategy", name, known_names(), SYNONYMS)
+    return unknown("strategy", name, entries.STRATEGIES, SYNONYMS)
 
 
 def _build(
@@ -122,14 +109,13 @@ def _build(
 def _parsed(text):
     """Parse a strategy's text: its function, modifiers, parameters with their defaults, and those that it gives."""
     foreign = _FOREIGN.match(text)
-    if foreign and not foreign["module"].endswith(".py") and entry_of(foreign["module"]) is None:
+    if foreign and not foreign["module"].endswith(".py") and foreign["module"] not in entries.STRATEGIES:
         make, name = import_object(foreign["module"], foreign["name"]), foreign[0]
     else:
         name = re.split("[+:]", text, maxsplit=1)[0]
-        entry = entry_of(name)
-        if entry is None:
+        if name not in entries.STRATEGIES:
             raise _unknown(name, text[len(name) :])
-        make = entry.make
+        make = entries.STRATEGIES[name].make
     words, colon, tail = text[len(name) :].partition(":")
     modifiers = _modifiers(words.split("+")[1:], text)
     if colon and not tail:

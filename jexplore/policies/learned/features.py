@@ -8,7 +8,7 @@ from jax import Array
 from jexplore.arrays.loops import repeat
 from jexplore.grid import count, is_known
 from jexplore.planning import Belief
-from jexplore.policies.clusters import Targets, paths_apart, unknown_from
+from jexplore.policies.clusters import Targets, looks, paths_apart
 from jexplore.policies.distance_advantage import mean_apart
 from jexplore.raycast import Beams
 
@@ -76,7 +76,7 @@ def detours(at: Targets, apart_m: Array) -> Array:
 def features(belief: Belief, at: Targets, last: Array, beams: Beams) -> Array:
     """Compute features of targets, `[M, F]` float32, 0 in an unused slot. `last`: `[2]`, the last target; -1: none."""
     cell_m = belief.model.cell_m
-    unknown = unknown_from(belief, at, beams, RADII_M).astype(jnp.float32) * cell_m**2
+    unknown = looks(belief, at, beams, RADII_M)[:-1].astype(jnp.float32) * cell_m**2
     known_m2 = count(is_known(belief.grid)) * cell_m**2
     apart_m = paths_apart(belief, at)
     nearest = jnp.min(jnp.where(jnp.eye(len(at.used), dtype=bool), jnp.inf, apart_m), axis=1)
