@@ -139,19 +139,18 @@ class Pair:
             self._counts.update((a, i, lost) for lost in range(alike.lost, limits.lost + 1))
 
     def others_alike(self, a: int, i: int, b: int, lost: int) -> int:
-        """Count the ends of ways of both maps that look like one with `lost` ways at most, without those of both places."""
+        """Count the ends of ways of other places of both maps that look like one with at most `lost` ways lost."""
         there = (self.alike.get((a, i, b, j)) for j in range(len(self.other.ways[b])))
         return self._counts[a, i, lost] - sum(alike is not None and alike.lost <= lost for alike in there)
 
     def guesses(self) -> Iterator[Guess]:
         """Yield all guesses, each once: from every pair of places that look alike, in every turn."""
         seen = set()
-        for a, b in itertools.product(self.one.ways, self.other.ways):
-            for i, j in itertools.product(range(len(self.one.ways[a])), range(len(self.other.ways[b]))):
-                if (a, i, b, j) in self.alike and (a, i, b, j) not in seen:
-                    guess = self.grown(a, i, b, j)
-                    seen.update((p, m, q, n) for p, q in guess.places.items() for m, n in guess.alike[p].ways)
-                    yield guess
+        for entry in sorted(self.alike):
+            if entry not in seen:
+                guess = self.grown(*entry)
+                seen.update((p, m, q, n) for p, q in guess.places.items() for m, n in guess.alike[p].ways)
+                yield guess
 
     def grown(self, a: int, i: int, b: int, j: int) -> Guess:
         """Grow a guess from place a = place b, with way i of the one equal to way j of the other.
