@@ -13,7 +13,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy.sparse.csgraph import connected_components
 
-from jexplore.config import InputError, as_record, checked_names, require_engine, require_whole, shown
+from jexplore.config import InputError, as_record, checked_names, require_whole, shown
 from jexplore.driving.batch import pose_in, require_start
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.engine.runner import Costs
@@ -147,8 +147,8 @@ def trace_team(
     tuning: Tuning | Mapping[str, Any] | None = None, noise: Noise | Mapping[str, Any] | None = None,
     cell_m: float = 0.1, max_steps: int | None = None, attributes: Sequence[str] = (),
     nodes: int | None = None, links: int | None = None, perception: str = AUTO,
-    engine: str = "auto", lanes: int | None = None, workers: int | None = None,
-    on_progress: Callable[[int], Any] | None = None, progress: bool | None = None,
+    workers: int | None = None, on_progress: Callable[[int], Any] | None = None,
+    progress: bool | None = None,
 ) -> TraceTeamResult:  # fmt: skip
     """Let several robots drive through a building at the same time, and merge their maps where they are in contact.
 
@@ -165,9 +165,8 @@ def trace_team(
       start: of the first robot, without given `team_starts`.
       world, robot, seed, tuning, noise, cell_m, max_steps, attributes, nodes, links: see `prepare_trace`.
       perception: see `prepare_trace`.
-      engine, lanes, workers, on_progress, progress: see `trace`.
+      workers, on_progress, progress: see `trace`.
     """
-    require_engine(engine, lanes)
     read_reach(contact)
     limits = limits if isinstance(limits, Limits) else as_record("limits", limits or {}, TeamLimits)
     plan = prepare_team(
@@ -175,7 +174,7 @@ def trace_team(
         max_steps=max_steps, attributes=attributes, nodes=nodes, links=links, perception=perception,
     )  # fmt: skip
     with progress_bar(progress, plan.runs, "robots", on_progress) as moved:
-        logs, costs = run_robots(plan, engine=engine, lanes=lanes, workers=workers, on_progress=moved)
+        logs, costs = run_robots(plan, workers=workers, on_progress=moved)
     return merge_team(plan, logs, contact, limits, costs)
 
 
