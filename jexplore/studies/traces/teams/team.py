@@ -23,7 +23,7 @@ from jexplore.report.page.station import MapPanel
 from jexplore.report.plot_traces import team_figure
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.traces.job import AUTO, START_CLEARANCE_M, TraceJob, prepare_trace
-from jexplore.studies.traces.options import require_start_pose
+from jexplore.studies.traces.options import floats_of, require_start_pose
 from jexplore.studies.traces.recording import wall_lines
 from jexplore.studies.traces.station import GLOBAL_MAP, WHY, page_from
 from jexplore.studies.traces.teams.clock import EXCHANGE_STEPS, RobotLog, run_robots
@@ -95,16 +95,11 @@ class TraceTeamResult:
 
 def read_reach(contact: Any) -> float:
     """Return within how many metres robots of a contact exchange maps; -1 for none."""
-    word, colon, metres = str(contact).partition(":")
-    reach = {"all": math.inf, "none": -1.0}.get(word, math.nan) if not colon else math.nan
-    if word == "range":
-        try:
-            reach = float(metres)
-        except ValueError:
-            reach = math.nan
-    if math.isnan(reach) or (word == "range" and not 0 <= reach < math.inf):
+    word, _, metres = str(contact).partition(":")
+    reach_m = {"all": (math.inf,), "none": (-1.0,)}.get(str(contact), floats_of(metres) if word == "range" else ())
+    if len(reach_m) != 1 or (word == "range" and reach_m[0] < 0):
         raise InputError(f"contact of trace robots must be all, none or range:METRES, got {shown(contact)}")
-    return reach
+    return reach_m[0]
 
 
 def place_robots(plan: TraceJob, n: int, starts: TeamStarts) -> np.ndarray:
@@ -128,10 +123,7 @@ def place_robots(plan: TraceJob, n: int, starts: TeamStarts) -> np.ndarray:
 
 
 def _pose(given):
-    try:
-        pose = tuple(float(value) for value in (given.split(",") if isinstance(given, str) else given))
-    except (TypeError, ValueError):
-        pose = ()
+    pose = floats_of(given)
     if len(pose) != 3:
         raise InputError(f"a start of team_starts must be x,y,heading_deg, got {shown(given)}")
     require_start_pose(pose)
