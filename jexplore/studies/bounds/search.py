@@ -123,22 +123,20 @@ class Search:
         `known` are witnesses, the most telling first; subsets may use up the share `until` of the budget, pieces, if
         the bound is far off, `pieces_until`.
         """
-        subsets, exact = self.shortest(until, walks.cost, known)
-        found = [LowerBound(min(subsets.low, walks.cost), "subsets", list(subsets.witnesses))]
+        budget, high = self.budget, walks.cost
+        subsets, exact = self.shortest(until, high, known)
+        found = [LowerBound(min(subsets.low, high), "subsets", list(subsets.witnesses))]
         if exact is None:
             found.append(LowerBound(self.farthest(walks.witnesses), "farthest", walks.witnesses))
-        if exact is None and found[0].low * FAR_RATIO < walks.cost:
-            found.append(LowerBound(self.by_pieces(known, pieces_until, walks.cost), "pieces", list(known)))
+        if exact is None and found[0].low * FAR_RATIO < high and not budget.over(pieces_until):
+            low = bound_by_pieces(
+                *(self.floor, known, high),
+                left_s=lambda: budget.left_s(pieces_until),
+                over=lambda: budget.over(pieces_until),
+                branches=budget.floods is None,  # else it would end when the clock says so
+            )
+            found.append(LowerBound(low, "pieces", list(known)))
         return max(found, key=lambda bound: bound.low), subsets.order, exact
-
-    def by_pieces(self, cells: Sequence[int], share: float, high: int) -> int:
-        """Compute the bound of many witnesses, see `pieces`; 0 if the share is spent."""
-        budget = self.budget
-        if budget.over(share):
-            return 0
-        how = {"left_s": lambda: budget.left_s(share), "over": lambda: budget.over(share)}
-        branches = budget.floods is None  # else it would end when the clock says so
-        return bound_by_pieces(self.floor, cells, high, **how, branches=branches)
 
 
 def search(scene: Scene, budget: Budget, seed: int = 0) -> SearchResult:
