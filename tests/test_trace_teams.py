@@ -204,8 +204,8 @@ def test_a_team_on_a_course_perceives_by_triangles():
     assert (found.plan.perception, len(found.logs)) == ("triangles", 2)
     assert len(found.table) == 2
     for log in found.logs:
-        assert [len(log.truth), len(log.exchanges)] == [300, 3]
-        own = log.held(2)
+        assert len(log.exchanges) == len(log.truth) // clock.EXCHANGE_STEPS >= 2
+        own = log.exchanges[-1]
         assert 0 < own.map.n_nodes <= log.result.map.n_nodes  # a run that breaks off ends in a node
         some = slice(int(own.map.n_nodes))
         np.testing.assert_array_equal(own.node_at[some], log.result.node_at[some])
