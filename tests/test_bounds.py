@@ -104,7 +104,7 @@ def test_the_exact_search_is_brute_force(seed, side, share, rules):
     assert found.low_any == found.low or not np.array_equal(made.any, made.clear)
     budget = search.Budget(None, 4000)
     coverage = Coverage(made.sights, made.must_see)
-    exact, walk = search.Search(made, made.any, budget, coverage, {}).shortest(1.0, FAR)
+    exact, walk = search.Search(made, made.any, budget, coverage).shortest(1.0, FAR)
     assert walk is not None
     assert exact.low == wide
 
@@ -185,7 +185,7 @@ def test_an_enclosed_start_and_nothing_to_see():
         occupied[5 - half : 6 + half, 5 - half : 6 + half] = False
         world = World(occupied=occupied, cell_m=0.1, name="hall")
         lidar = Lidar(n_beams=181, range_m=2.0)
-        row = study.solve(study.BoundTask(world, (5, 5, 0), lidar, RULES, 1.0, None)).row
+        row = study.solve(study.BoundTask(world, (5, 5, 0), lidar, RULES, 1.0, None)).iloc[0]
         assert (row["status"], row["low_m"], row["low_any_m"]) == (status, 0.0, 0.0)
     assert row["high_m"] == 0.0
 
@@ -193,7 +193,7 @@ def test_an_enclosed_start_and_nothing_to_see():
 def test_no_time_for_a_walk_leaves_a_weak_bound():
     world = jx.load_world("office", cell_m=0.1)
     start = tuple(int(v) for v in ready_starts(world, "random", 1, seed=0, rules=Rules())[0])
-    found = study.solve(study.BoundTask(world, start, Lidar(), Rules(), None, 3)).row
+    found = study.solve(study.BoundTask(world, start, Lidar(), Rules(), None, 3)).iloc[0]
     assert found["status"] == study.WEAK
     assert math.isnan(found["high_m"])
     assert 0 < found["low_any_m"] <= found["low_m"]

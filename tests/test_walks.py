@@ -25,18 +25,18 @@ def searched(name="rooms:width_m=5,height_m=5", seed=0):
     made = scene.prepare_scene(world, start, NEAR, RULES, 2)
     assert made is not None
     coverage = Coverage(made.sights, made.must_see)
-    return search.Search(made, made.clear, search.Budget(None, 10**9), coverage, {})
+    return search.Search(made, made.clear, search.Budget(None, 10**9), coverage)
 
 
 def walks_of(own, seed=0):
-    return walks.Walks(own.floor, own.from_start, own.region, own.coverage, np.random.default_rng(seed))
+    return walks.Walks(own.floor, own.coverage, np.random.default_rng(seed))
 
 
 def some_stops(own, n, seed=0):
     """The `Stops` of some witnesses, and these."""
-    rng, made = np.random.default_rng(seed), stops.Stops(own.floor, own.from_start, own.region)
-    cells = [int(cell) for cell in rng.permutation(np.flatnonzero(own.scene.must_see))]
-    cells = [cell for cell in cells[:60] if own.from_start[own.region(cell)].min() > 0][:n]
+    rng, made = np.random.default_rng(seed), stops.Stops(own.floor)
+    cells = [int(cell) for cell in rng.permutation(np.flatnonzero(own.floor.scene.must_see))]
+    cells = [cell for cell in cells[:60] if own.floor.from_start[own.floor.region(cell)].min() > 0][:n]
     for cell in cells:
         made.add(cell)
     assert len(cells) == n
@@ -77,15 +77,15 @@ def test_stops_are_as_far_apart_as_floods_say():
     for number, place in enumerate(made.places.tolist()):
         away = own.floor.away_from(np.array([place]))
         np.testing.assert_array_equal(made.apart[number], away[made.places])
-        assert made.from_start[number] == own.from_start[place]
+        assert made.from_start[number] == own.floor.from_start[place]
     for cell in cells:
-        assert set(made.places[made.own[cell]].tolist()) <= set(own.region(cell).tolist())
+        assert set(made.places[made.own[cell]].tolist()) <= set(own.floor.region(cell).tolist())
         assert 1 <= len(made.own[cell]) <= stops.STOPS
     before = len(made.places)
     made.add(cells[0])
     made.touch(cells[0], int(made.places[made.own[cells[0]][0]]))
     assert len(made.places) == before
-    last = int(own.region(cells[0])[-1])
+    last = int(own.floor.region(cells[0])[-1])
     made.touch(cells[0], last)
     assert last in made.places[made.own[cells[0]]]
 
@@ -146,11 +146,11 @@ def test_walks_see_everything_and_become_shorter(name):
     assert found.find(lambda: False)
     first = found.cost
     assert not len(own.coverage.unseen(found.walk))
-    assert found.walk[0] == own.scene.start
+    assert found.walk[0] == own.floor.scene.start
     found.shorten(lambda: False)
     assert found.cost <= first
     assert not len(own.coverage.unseen(found.walk))
-    assert search.walk_cost(found.walk, own.scene.width) == found.cost
+    assert search.walk_cost(found.walk, own.floor.scene.width) == found.cost
     again = walks_of(own)
     again.find(lambda: False)
     again.shorten(lambda: False)
@@ -169,10 +169,10 @@ def test_what_tells_most_comes_first():
         world, (2, 20, 0), Lidar(n_beams=31, range_m=0.35), Rules(clearance_m=0.1, near_m=0.0), 2
     )
     assert made is not None
-    own = search.Search(made, made.clear, search.Budget(None, 10**9), Coverage(made.sights, made.must_see), {})
+    own = search.Search(made, made.clear, search.Budget(None, 10**9), Coverage(made.sights, made.must_see))
     middle = 2 + made.pad
     cells = [middle * made.width + col + made.pad for col in (8, 30, 2, 45, 59)]
-    found = stops.Stops(own.floor, own.from_start, own.region)
+    found = stops.Stops(own.floor)
     for cell in cells:
         found.add(cell)
     rng = np.random.default_rng(0)
@@ -196,7 +196,7 @@ def test_a_walk_longer_than_costs_can_say():
     occupied[4:-1:4, 1] = False
     world = World(occupied=occupied, cell_m=0.1, name="winding")
     rules = Rules(clearance_m=0.0, near_m=0.0)
-    row = study.solve(study.BoundTask(world, (1, 1, 0), Lidar(n_beams=8, range_m=0.3), rules, None, 4000)).row
+    row = study.solve(study.BoundTask(world, (1, 1, 0), Lidar(n_beams=8, range_m=0.3), rules, None, 4000)).iloc[0]
     assert row["status"] == study.WEAK
     assert np.isnan(row["high_m"])
     assert 1600 < row["low_any_m"] <= row["low_m"] <= FAR / STRAIGHT * 0.1

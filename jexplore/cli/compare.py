@@ -129,7 +129,8 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOp
         if not self.bounds:
             return []
         pairs = [(job.world, (int(r), int(c), int(h))) for job in jobs for r, c, h in job.starts]
-        return bound_tasks(pairs, self.lidar, self.rules, self.bound_seconds)
+        once = {(world.name, *start): (world, start) for world, start in pairs}
+        return bound_tasks(once.values(), self.lidar, self.rules, self.bound_seconds)
 
     def _beside(self, found, tasks, out):
         """Complete a comparison and its files by bounds; the last is False after an interruption."""

@@ -38,39 +38,29 @@ def correct_map(btm: BtmMap) -> BtmMap:
       InputError: not a proper map, or no searched link has the attribute, as in a merged map, or it is malformed.
     """
     btm = check_map(btm)
-    place = laid_out(btm, moves(btm))
-    turn_deg = {node.id: math.degrees(place[i][2]) for i, node in enumerate(btm.nodes)}
-    nodes = (dataclasses.replace(node, x_m=float(x_m), y_m=float(y_m)) for node, (x_m, y_m, _) in zip(btm.nodes, place))
-    links = (_turned(link, turn_deg) for link in btm.links)
-    return dataclasses.replace(
-        btm, nodes=tuple(nodes), links=tuple(links), attributes={**btm.attributes, "frame": CORRECTED_FRAME}
-    )
-
-
-def moves(btm: BtmMap) -> list[tuple[int, int, list[float]]]:
-    """Return the odometry of the searched links that have it: first node, other node, and `moved`."""
-    found = [(link.start, link.end, _moved(link)) for link in btm.links if link.end != NOWHERE]
-    found = [(start, end, moved) for start, end, moved in found if moved is not None]
-    if not found and any(link.end != NOWHERE for link in btm.links):
+    moved = [(link, _moved(link)) for link in btm.links if link.end != NOWHERE]
+    known = [(link.start, link.end, *move) for link, move in moved if move is not None]
+    if moved and not known:
         raise InputError(
             "to correct a map its links must have the attribute moved, as those of a run have; none has "
             "(maps that are merged have it no more: correct them before)"
         )
-    return found
-
-
-def laid_out(btm: BtmMap, moves: list[tuple[int, int, list[float]]]) -> np.ndarray:
-    """Fit places to moves between nodes, `(id, id, [x_m, y_m])` or `[x_m, y_m, turn_deg]`.
-
-    Returns:
-      `[n, 3]` float64: x, y, metres, and how far the frame of every node is turned, radians.
-    """
     row = {node.id: i for i, node in enumerate(btm.nodes)}
-    ends = [(row[start], row[end]) for start, end, _ in moves]
-    moved = [(x_m, y_m, math.radians(sum(turn_deg))) for *_, (x_m, y_m, *turn_deg) in moves]
-    place = [PLACE[0] + PLACE[1] * math.hypot(*move[:2]) for move in moved]
-    spread = [(own, math.radians(TURN_DEG) if len(move[2]) > 2 else math.inf) for own, move in zip(place, moves)]
-    return fitted(np.array([(node.x_m, node.y_m, 0.0) for node in btm.nodes]), ends, moved, spread)
+    pose = fitted(
+        np.array([(node.x_m, node.y_m, 0.0) for node in btm.nodes]),
+        [(row[start], row[end]) for start, end, *_ in known],
+        [(x_m, y_m, math.radians(sum(turn_deg))) for _, _, x_m, y_m, *turn_deg in known],
+        [
+            (PLACE[0] + PLACE[1] * math.hypot(x_m, y_m), math.radians(TURN_DEG) if turn_deg else math.inf)
+            for _, _, x_m, y_m, *turn_deg in known
+        ],
+    )
+    turn_deg = {node.id: math.degrees(pose[i][2]) for i, node in enumerate(btm.nodes)}
+    nodes = (dataclasses.replace(node, x_m=float(x_m), y_m=float(y_m)) for node, (x_m, y_m, _) in zip(btm.nodes, pose))
+    links = (_turned(link, turn_deg) for link in btm.links)
+    return dataclasses.replace(
+        btm, nodes=tuple(nodes), links=tuple(links), attributes={**btm.attributes, "frame": CORRECTED_FRAME}
+    )
 
 
 def fitted(pose: np.ndarray, ends: Sequence[tuple[int, int]], moved: ArrayLike, spread: ArrayLike) -> np.ndarray:

@@ -1,9 +1,7 @@
-"""A finished map as another start would have it: the start's node on its link, all numbered as the robot meets them."""
+"""A finished map as another start would have it: the start's node on its link."""
 
 import dataclasses
-import heapq
 import math
-from typing import Any
 
 from jexplore.config import InputError
 from jexplore.tracemap.record import NOWHERE, BtmMap, Node, direction_deg
@@ -14,11 +12,9 @@ _SQUARE = 1e-9  # cosine: a heading that is no nearer to one end of the link tha
 def topology_from(topology: BtmMap, pose: tuple[float, float, float]) -> BtmMap:
     """Return the map that a perfect robot would write, starting at a pose, until nothing is left.
 
-    The start becomes a terminal node on the nearest link, which is split there: one link leads ahead, one behind. If
-    the heading is square to the link, its left counts as ahead. Nodes and links are in the order in which the robot
-    meets them: at a node it takes the first un-searched link counter-clockwise from behind; without one, it goes back
-    by the shortest way to a node that has one. Unreachable parts are left out. A start that the map already has, a
-    first node of type terminal with two links, is removed before.
+    The start becomes a terminal node on the nearest link, which is split there: the link ahead is the first of the
+    result, the one behind the last; all else keeps its order. If the heading is square to the link, its left counts as
+    ahead. A start that the map already has, a first node of type terminal with two links, is removed before.
 
     Links of the whole map must run straight from node to node, as those of a course. The pose is x, y, metres; heading,
     degrees.
@@ -30,11 +26,17 @@ def topology_from(topology: BtmMap, pose: tuple[float, float, float]) -> BtmMap:
     nodes, links = _without_start(topology)
     nearest = min(links, key=lambda link: (_distance_m(nodes, link, pose), link.id))
     root = Node(max(nodes) + 1, float(pose[0]), float(pose[1]), "terminal")
-    parts = _split(nodes[nearest.start], nearest, root, max(link.id for link in links) + 1)
+    before, after = _split(nodes[nearest.start], nearest, root)
     turn = math.radians(nearest.start_bearing_deg - pose[2])
     onward = math.cos(turn) if abs(math.cos(turn)) > _SQUARE else math.sin(turn)
-    rest = [link for link in links if link is not nearest]
-    return _in_order({**nodes, root.id: root}, [*rest, *parts], root.id, parts[onward > 0])
+    ahead, behind = (after, _turned(before)) if onward > 0 else (_turned(before), after)
+    number = {old: new for new, old in enumerate((root.id, *nodes))}
+    made = (
+        dataclasses.replace(link, id=i, start=number[link.start], end=number[link.end])
+        for i, link in enumerate((ahead, *(link for link in links if link is not nearest), behind))
+    )
+    placed = (dataclasses.replace(node, id=number[node.id]) for node in (root, *nodes.values()))
+    return BtmMap(tuple(placed), tuple(made))
 
 
 def _without_start(topology):
@@ -65,52 +67,12 @@ def _distance_m(nodes, link, pose):
     return math.hypot(px - share * dx, py - share * dy)
 
 
-def _split(first, link, root, free):
+def _split(first, link, root):
     """Split a link at the start: the parts before and after."""
     bearing = math.radians(link.start_bearing_deg)
     along = (root.x_m - first.x_m) * math.cos(bearing) + (root.y_m - first.y_m) * math.sin(bearing)
     along = round(min(max(along, 0.0), link.length_m), 9)
     back = direction_deg(link.start_bearing_deg + 180.0)
     before = dataclasses.replace(link, end=root.id, end_bearing_deg=back, length_m=along)
-    after = dataclasses.replace(link, id=free, start=root.id, length_m=round(link.length_m - along, 9))
+    after = dataclasses.replace(link, start=root.id, length_m=round(link.length_m - along, 9))
     return before, after
-
-
-def _in_order(nodes, links, root, ahead):
-    """Renumber everything as a robot meets it that begins at a node with a link: the map."""
-    ends = BtmMap((), tuple(links)).ends
-    around: dict[int, Any] = {
-        node: [(end[0], _turned(end[3]) if end[2] else end[3]) for end in ends[node]] for node in nodes
-    }
-    number, taken, followed = {root: 0}, set(), []
-    here, back = root, ahead.start_bearing_deg if ahead.start == root else ahead.end_bearing_deg
-    while True:
-        ways = [((bearing - back) % 360.0, link.id, link) for bearing, link in around[here] if link.id not in taken]
-        if not ways:
-            here, back = _nearest_open(around, taken, here, back)
-            if here is None:
-                break
-            continue
-        *_, link = min(ways, key=lambda way: way[:2])
-        taken.add(link.id)
-        followed.append(link)
-        here, back = link.end, link.end_bearing_deg
-        number.setdefault(here, len(number))
-    ends = ({"id": i, "start": number[link.start], "end": number[link.end]} for i, link in enumerate(followed))
-    made = (dataclasses.replace(link, **own) for link, own in zip(followed, ends))
-    return BtmMap(tuple(dataclasses.replace(nodes[old], id=new) for old, new in number.items()), tuple(made))
-
-
-def _nearest_open(around, taken, here, back):
-    """Return the nearest node with a link not taken yet, along links, None without one, and the bearing of arrival."""
-    queue, reached = [(0.0, here, back)], set()
-    while queue:
-        length_m, node, back = heapq.heappop(queue)
-        if node in reached:
-            continue
-        reached.add(node)
-        if any(link.id not in taken for _, link in around[node]):
-            return node, back
-        for _, link in around[node]:
-            heapq.heappush(queue, (length_m + link.length_m, link.end, link.end_bearing_deg))
-    return None, back

@@ -1,24 +1,11 @@
 """Codes of trace maps: two maps with equal codes are equal but for measures."""
 
-import dataclasses
+from collections.abc import Iterator
+from typing import Any
 
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, check_map
 
 _LETTER = {"terminal": "T", "divergence": "D", "free_space": "F", "obstacle": "O"}
-
-
-@dataclasses.dataclass(frozen=True)
-class Vertex:
-    """Vertex of the ordered tree that stands for a map: a node, an un-searched link, an end of a closing link.
-
-    A closing link leads to a node that has been reached by another way. Both its ends are leaves with its number.
-    """
-
-    label: str
-    parent: int
-    link: Link | None = None  # by which it hangs on its parent
-    forward: bool = True  # true if that link starts at the parent
-    node: Node | None = None
 
 
 def code(btm: BtmMap) -> str:
@@ -33,38 +20,37 @@ def code(btm: BtmMap) -> str:
     Raises:
       InputError: not a proper map; see `record.check_map`.
     """
-    tree = tree_of(check_map(btm))
-    below = [[] for _ in tree]
-    for i in range(len(tree) - 1, 0, -1):
-        inner = ",".join(reversed(below[i]))
-        below[tree[i].parent].append(tree[i].label + (f"({inner})" if inner else ""))
-    return " + ".join(reversed(below[0]))
+    return "".join(text for text, *_ in pieces_of(check_map(btm)))
 
 
-def tree_of(btm: BtmMap) -> list[Vertex]:
-    """Return vertices in preorder; the first is an extra one above the first node of every connected part."""
+def pieces_of(btm: BtmMap) -> Iterator[tuple[str, Node | None, Link | None, int]]:
+    """Yield the code of a proper map in pieces: the text, the node, the link by which the walk came there and whether
+    from its end, 1, or its start, 0; a piece of punctuation has neither node nor link.
+    """
     nodes, reached, closing = {node.id: node for node in btm.nodes}, set(), {}
-    tree = [Vertex("", -1)]
     for root in btm.nodes:
-        pending = [] if root.id in reached else [(root.id, None, 0, 0)]
+        pending: list[Any] = [] if root.id in reached else [(root.id, None, 0), *([" + "] if reached else [])]
         while pending:
-            here, link, side, parent = pending.pop()
-            hung = {"parent": parent, "link": link, "forward": side == 0}
+            piece = pending.pop()
+            if isinstance(piece, str):
+                yield piece, None, None, 0
+                continue
+            here, link, side = piece
             if here == NOWHERE:
-                tree.append(Vertex("-", **hung))
+                yield "-", None, link, side
                 continue
             if link is not None and here in reached:
-                tree.append(Vertex(f"={closing.setdefault(link.id, len(closing) + 1)}", **hung))
+                yield f"={closing.setdefault(link.id, len(closing) + 1)}", None, link, side
                 continue
             reached.add(here)
             node, ends = nodes[here], btm.ends[here]
-            tree.append(Vertex(_LETTER[node.type] + (f":{node.obstacle}" if node.obstacle else ""), node=node, **hung))
+            yield _LETTER[node.type] + (f":{node.obstacle}" if node.obstacle else ""), node, link, side
             if link is None:
                 first = min(ends, key=lambda end: (end[3].end == NOWHERE, *end[1:3]), default=None)
                 turn = ends.index(first) if first else 0
+                order = ends[turn:] + ends[:turn]
             else:
-                turn = next(i for i, end in enumerate(ends) if end[1:3] == (link.id, 1 - side)) + 1
-            order = ends[turn:] + ends[: turn if link is None else turn - 1]
-            own = len(tree) - 1
-            pending += [(way.start if at else way.end, way, at, own) for _, _, at, way in reversed(order)]
-    return tree
+                turn = next(i for i, end in enumerate(ends) if end[1:3] == (link.id, 1 - side))
+                order = ends[turn + 1 :] + ends[:turn]
+            told = [part for *_, at, way in order for part in (",", (way.start if at else way.end, way, at))]
+            pending += reversed(["(", *told[1:], ")"] if told else [])

@@ -6,7 +6,7 @@ import math
 from hypothesis import strategies as st
 
 from jexplore.tracemap.record import NOWHERE, OBSTACLE_SHAPES, STATUS, BtmMap, Link, Node, check_map
-from jexplore.tracemap.similarity import code, tree_of
+from jexplore.tracemap.similarity import pieces_of
 
 GOOD = {"length_m": 5.0, "min_width_m": 1.0, "posture_deg": 1.0, "max_roll_deg": 1.0, "max_step_m": 0.0}
 TYPES = {"T": "terminal", "D": "divergence", "F": "free_space", "O": "obstacle"}
@@ -134,11 +134,10 @@ def changed(btm, **by_kind):
 
 def are_same(a, b, limit=1e-6):
     """Return whether maps have equal codes and measures that differ by `limit` at most, whatever ids and directions."""
-    trees = (tree_of(check_map(btm)) for btm in (a, b))
-    return code(a) == code(b) and all(
-        _are_near(getattr(one, kind), getattr(other, kind), kind == "link" and one.forward != other.forward, limit)
-        for one, other in zip(*trees)
-        for kind in ("node", "link")
+    walks = [list(pieces_of(check_map(btm))) for btm in (a, b)]
+    return [text for text, *_ in walks[0]] == [text for text, *_ in walks[1]] and all(
+        _are_near(node, match, False, limit) and _are_near(link, other, side != end, limit)
+        for (_, node, link, side), (_, match, other, end) in zip(*walks)
     )
 
 

@@ -15,7 +15,7 @@ def trace_robots(out: Out, options: Any, arguments: Sequence[str]) -> int:
     `options` are those of `jexplore trace`.
     """
     from jexplore.engine.backend import use_compilation_cache
-    from jexplore.studies.results.provenance import describe_world, engine_of
+    from jexplore.studies.results.provenance import describe_world
     from jexplore.studies.traces.teams.clock import run_robots
     from jexplore.studies.traces.teams.team import merge_team, prepare_team, read_reach
     from jexplore.tracemap import json_form
@@ -27,7 +27,7 @@ def trace_robots(out: Out, options: Any, arguments: Sequence[str]) -> int:
     plan = prepare_team(options.world, options.robots, starts, **own)
     use_compilation_cache()
     with working(plan.runs, "robots") as on_progress:
-        logs, costs = run_robots(plan, **fields_of(options, "engine lanes workers"), on_progress=on_progress)
+        logs, costs = run_robots(plan, workers=options.workers, on_progress=on_progress)
     with note_if_slow("jexplore: merging maps"):
         found = merge_team(plan, logs, options.contact, options.limits, costs)
     files = {f"{name}.json": json_form.to_json(btm) for name, btm in {"btm": found.map, **found.maps}.items()}
@@ -39,8 +39,7 @@ def trace_robots(out: Out, options: Any, arguments: Sequence[str]) -> int:
             for names, merged in found.groups.items()
         ],
         worlds=[describe_world(plan.world)],
-        **{"compile_s": costs.compile_s, "run_s": costs.run_s},
-        **engine_of(costs),
+        run_s=costs.run_s,
     )
     return out.finish(record, files, summary(found), {"team.png": found.figure})
 

@@ -109,7 +109,8 @@ class Trace(ResumeOptions):
             raise InputError("--noise-m and --noise.range-m say the same: give one of them")
         with Out(self, "trace") as out:
             if self.robots is not None:
-                for given in given_of(self, ["runs", "starts", "sweep", "settings", "corrected", "animate", "resume"]):
+                alone = "runs starts sweep settings engine lanes corrected animate resume"
+                for given in given_of(self, alone.split()):
                     raise InputError(f"--robots takes no {given}: every robot makes one run")
                 return trace_robots(out, self, arguments)
             own = fields_of(

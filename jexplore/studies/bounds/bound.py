@@ -64,28 +64,22 @@ class BoundTask(NamedTuple):
     max_floods: int | None
 
 
-class Solved(NamedTuple):
-    """Result of a task."""
-
-    row: dict[str, Any]  # `BOUND_COLUMNS`
-    walk: np.ndarray  # [K, 2] int32, row and col
-    witnesses: np.ndarray  # [N, 2] int32
-
-
-def solve(task: BoundTask) -> Solved:
-    """Bound one start."""
+def solve(task: BoundTask) -> pd.DataFrame:
+    """Bound one start: a row with `BOUND_COLUMNS`, and `WALK` and `WITNESSES`, bytes of `[n, 2]` int32, row and col."""
     world, start = task.world, task.start
     scene = prepare_scene(world, start, task.lidar, task.rules, scans_all_round(task.lidar))
     row: dict[str, Any] = {"world": os.fspath(world.name), **dict(zip(START, start)), "sha256": world_digest(world)}
     if scene is None:
         row |= {"low_m": 0.0, "low_any_m": 0.0, "high_m": math.nan, "status": STUCK, "witnesses": 0, "seconds": 0.0}
-        nothing = np.zeros((0, 2), np.int32)
-        return Solved({name: row.get(name, "-") for name in BOUND_COLUMNS}, nothing, nothing)
-    everything = SearchResult(np.array([scene.start]), 0, 0, 0, True, [], "subsets")  # is seen from the start
+        return pd.DataFrame(
+            [row | {"method": "-", WALK: b"", WITNESSES: b""}], columns=[*BOUND_COLUMNS, WALK, WITNESSES]
+        )
+    found = SearchResult(np.array([scene.start]), 0, 0, 0, True, [], "subsets")  # everything is seen from the start
+    budget = Budget(task.seconds, task.max_floods)
     if scene.must_see.any():
         search(scene, Budget(None, 1))  # compiles
-    budget = Budget(task.seconds, task.max_floods)
-    found = search(scene, budget) if scene.must_see.any() else everything
+        budget = Budget(task.seconds, task.max_floods)
+        found = search(scene, budget)
     status = OPTIMAL if found.optimal else WEAK if found.high >= FAR else BOUNDED
     walk, witnesses = (
         np.stack(scene.cells(np.array(cells, int)), axis=1).astype(np.int32) for cells in (found.walk, found.witnesses)
@@ -93,7 +87,8 @@ def solve(task: BoundTask) -> Solved:
     row |= {"low_m": low_metres(found.low, world.cell_m), "low_any_m": low_metres(found.low_any, world.cell_m)}
     row["high_m"] = math.nan if status == WEAK else float(length_along_m(walk[:, 0], walk[:, 1], world.cell_m)[-1])
     row |= {"status": status, "witnesses": len(witnesses), "seconds": budget.elapsed_s, "method": found.method}
-    return Solved({name: row[name] for name in BOUND_COLUMNS}, walk, witnesses)
+    row |= {WALK: walk.tobytes(), WITNESSES: witnesses.tobytes()}
+    return pd.DataFrame([row], columns=[*BOUND_COLUMNS, WALK, WITNESSES])
 
 
 @checked_names
@@ -208,7 +203,7 @@ def prepare_bounds(
     for world in checks.ready_worlds(worlds, cell_m):
         places = checks.ready_starts(world, start, starts if start == "random" else 1, seed=seed, rules=rules)
         pairs += [(world, (int(r), int(c), int(h))) for r, c, h in places]
-    return _tasks(pairs, lidar, rules, None if max_floods else seconds, max_floods)
+    return bound_tasks(pairs, lidar, rules, None if max_floods else seconds, max_floods)
 
 
 def require_perfect(lidar: Lidar, rules: Rules) -> None:
@@ -224,21 +219,21 @@ def require_perfect(lidar: Lidar, rules: Rules) -> None:
             raise InputError(f"bounds are of a scanner {needs}")
 
 
-def _tasks(pairs, lidar, rules, seconds, max_floods):
-    """Return the tasks of worlds and starts; refuse a world with a region to stay in or of which a part is known."""
+def bound_tasks(
+    pairs: Iterable[tuple[World, tuple[int, int, int]]], lidar: Lidar, rules: Rules, seconds: float | None,
+    max_floods: int | None = None,
+) -> list[BoundTask]:  # fmt: skip
+    """Return the tasks of worlds and starts.
+
+    Raises:
+      InputError: settings that no bound is of; a world with a region to stay in, or of which a part is known.
+    """
     require_perfect(lidar, rules)
-    for world, _ in pairs:
+    tasks = [BoundTask(world, start, lidar, rules, seconds, max_floods) for world, start in pairs]
+    for world, *_ in tasks:
         if world.within is not None or world.known is not None:
             raise InputError(f"{world.name!r}: bounds are of whole worlds, of which nothing is known beforehand")
-    return [BoundTask(world, start, lidar, rules, seconds, max_floods) for world, start in pairs]
-
-
-def bound_tasks(
-    pairs: Iterable[tuple[World, tuple[int, int, int]]], lidar: Lidar, rules: Rules, seconds: float
-) -> list[BoundTask]:
-    """Return the tasks of some starts, each once."""
-    once = {(world.name, *start): (world, start) for world, start in pairs}
-    return _tasks(once.values(), lidar, rules, seconds, None)
+    return tasks
 
 
 def bound_settings(lidar: Lidar, rules: Rules) -> dict[str, Any]:
@@ -264,8 +259,7 @@ def asked_of_bounds(tasks: Sequence[BoundTask]) -> dict[str, Any]:
 
 
 def run_bounds(
-    tasks: Sequence[BoundTask], *,
-    ledger: Ledger | None = None, first: int = 0, workers: int | None = None,
+    tasks: Sequence[BoundTask], *, ledger: Ledger | None = None, first: int = 0, workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
 ) -> BoundsResult:  # fmt: skip
     """Bound all starts that the ledger, in which `first` is the first one's unit, does not have.
@@ -275,7 +269,7 @@ def run_bounds(
     """
     workers = min(own_cores() if workers is None else require_setting("workers", workers), len(tasks))
     numbers = range(first, first + len(tasks))
-    work: Work[Solved] = Work(numbers, ledger, _to_table, _of_table)
+    work: Work[pd.DataFrame] = Work(numbers, ledger)
     tasks_of = dict(zip(numbers, tasks))
 
     def take(number, found):
@@ -289,17 +283,18 @@ def run_bounds(
         if not work.done:
             raise
     worlds = {os.fspath(tasks_of[i].world.name): tasks_of[i].world for i in sorted(work.done)}
-    found, steps = work.results, []
-    for k, one in enumerate(found):
-        own = {"world": one.row["world"], "start": k, "step": np.arange(len(one.walk))}
-        steps.append(pd.DataFrame({**own, "row": one.walk[:, 0], "col": one.walk[:, 1]}))
+    table, steps, witnesses = pd.concat(work.results, ignore_index=True), [], {}
+    for k, (world, *cells) in enumerate(zip(table["world"], table.pop(WALK), table.pop(WITNESSES))):
+        walk, witnesses[k] = (np.frombuffer(own, np.int32).reshape(-1, 2) for own in cells)
+        own = {"world": world, "start": k, "step": np.arange(len(walk))}
+        steps.append(pd.DataFrame({**own, "row": walk[:, 0], "col": walk[:, 1]}))
     return BoundsResult(
-        table=pd.DataFrame([one.row for one in found]),
+        table=table,
         walks=pd.concat(steps, ignore_index=True),
         worlds=tuple(worlds.values()),
-        witnesses={k: one.witnesses for k, one in enumerate(found)},
+        witnesses=witnesses,
         settings=bound_settings(tasks[0].lidar, tasks[0].rules),
-        interrupted=len(tasks) - len(found),
+        interrupted=len(tasks) - len(table),
     )
 
 
@@ -336,12 +331,3 @@ def _begin_worker():
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
     use_compilation_cache()
     start_backend(1)
-
-
-def _to_table(found):
-    return pd.DataFrame([{**found.row, WALK: found.walk.tobytes(), WITNESSES: found.witnesses.tobytes()}])
-
-
-def _of_table(table):
-    walk, witnesses = (np.frombuffer(table[name].iloc[0], np.int32).reshape(-1, 2) for name in (WALK, WITNESSES))
-    return Solved(table.loc[:, list(BOUND_COLUMNS)].to_dict("records")[0], walk, witnesses)

@@ -2,7 +2,6 @@
 
 import functools
 import math
-from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -33,6 +32,8 @@ class Floor:
 
     cells: np.ndarray
     """`[n]` int, their numbers in the scene, sorted."""
+    start: int
+    """The robot's place in `cells`."""
 
     def __init__(self, scene: Scene, stand: np.ndarray, budget: Any) -> None:
         self.scene, self.cells, self.budget = scene, np.flatnonzero(stand), budget
@@ -45,6 +46,18 @@ class Floor:
         self._words = jax.jit(bits.pack)(mask)
         self._number = np.full(len(scene.occupied), -1, np.int32)
         self._number[self.cells] = np.arange(len(self.cells))
+        self.start, self._regions = int(self._number[scene.start]), {}
+
+    @functools.cached_property
+    def from_start(self) -> np.ndarray:
+        """Return the costs from the start to every place: `[n]` int32."""
+        return self.away_from(np.array([self.start]))
+
+    def region(self, cell: int) -> np.ndarray:
+        """Return the places that see a cell: `[k]` int."""
+        if cell not in self._regions:
+            self._regions[cell] = self.numbers(self.scene.region(cell))
+        return self._regions[cell]
 
     def numbers(self, flat: np.ndarray) -> np.ndarray:
         """Return places in `cells` of those of some cells that are among them: `[k]` int."""
@@ -123,15 +136,14 @@ class Tour:
     order: list[int]
     """Cells."""
 
-    def __init__(self, floor: Floor, from_start: np.ndarray, region: Callable[[int], np.ndarray]) -> None:
-        """Prepare a tour: `from_start` is `[n]` int32, costs to every place; `region` gives places that see a cell."""
-        self.floor, self.order, self.region = floor, [], region
-        self._ahead = [from_start]  # i -> cost from the start by the first i regions
-        self._behind = [np.zeros_like(from_start)]  # i -> cost by the last i regions to the end, wherever that is
+    def __init__(self, floor: Floor) -> None:
+        self.floor, self.order = floor, []
+        self._ahead = [floor.from_start]  # i -> cost from the start by the first i regions
+        self._behind = [np.zeros_like(floor.from_start)]  # i -> cost by the last i regions to the end, wherever that is
 
     def _through(self, costs, cell):
         """Compute costs to every cell by the region of one, from costs to its cells."""
-        places, start = self.region(cell), np.full(len(self.floor.cells), FAR, np.int32)
+        places, start = self.floor.region(cell), np.full(len(self.floor.cells), FAR, np.int32)
         start[places] = costs[places]
         return self.floor.flood(start)
 
@@ -152,7 +164,7 @@ class Tour:
 
     def insertions(self, cell: int) -> np.ndarray:
         """Compute the cost of the walk with one more witness at each place of the order: `[n + 1]` int."""
-        n, places = len(self.order), self.region(cell)
+        n, places = len(self.order), self.floor.region(cell)
         self._make(n, n)
         ahead = (self._ahead[i][places].astype(np.int64) for i in range(n + 1))
         return np.array([(costs + self._behind[n - i][places]).min() for i, costs in enumerate(ahead)])
@@ -171,7 +183,7 @@ class Tour:
         self._make(n, 0)
         way: list[int] = [int(np.argmin(self._ahead[n]))]
         for i in range(n, -1, -1):
-            region = set(self.region(self.order[i - 1]).tolist()) if i else set()
+            region = set(self.floor.region(self.order[i - 1]).tolist()) if i else set()
             before, now = self._ahead[max(i - 1, 0)], self._ahead[i]
 
             def stop(place, i=i, region=region, before=before, now=now):

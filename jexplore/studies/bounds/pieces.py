@@ -39,9 +39,9 @@ def cut_up(floor: Floor, places: np.ndarray, side: int) -> list[np.ndarray]:
     return [*cut_up(floor, places[low], side), *cut_up(floor, places[~low], side)]
 
 
-def prepare_pieces(floor: Floor, regions: Sequence[np.ndarray], most: int, from_start: np.ndarray) -> EdgePieces:
-    """Prepare the `EdgePieces` of the edges of regions, at most about `most` in all: one flood each."""
-    edges = [edge_of(floor, places) for places in regions]
+def prepare_pieces(floor: Floor, cells: Sequence[int], most: int) -> EdgePieces:
+    """Prepare the `EdgePieces` of the edges of witnesses' regions, at most about `most` in all: one flood each."""
+    edges = [edge_of(floor, floor.region(cell)) for cell in cells]
     side = 4
     while sum(len(cut_up(floor, edge, side)) for edge in edges) > most and side < 2**12:
         side = side * 5 // 4 + 1
@@ -51,7 +51,7 @@ def prepare_pieces(floor: Floor, regions: Sequence[np.ndarray], most: int, from_
     for i, part in enumerate(flat):
         away = floor.away_from(part)
         cost[i] = [away[other].min() for other in flat]
-    start = np.array([from_start[part].min() for part in flat], np.float64)
+    start = np.array([floor.from_start[part].min() for part in flat], np.float64)
     region = np.repeat(np.arange(len(parts)), [len(own) for own in parts])
     return EdgePieces(region, np.minimum(cost, cost.T) / STRAIGHT, start / STRAIGHT)
 
@@ -71,20 +71,18 @@ class Path:
 
     def _matrices(self):
         """Build the equations: pieces, regions, one start, one end. Variables: edges, starts, ends, pieces taken."""
-        n, m = len(self.pieces.region), len(self.a)
-        at = np.concatenate([self.a, self.b, np.arange(n), np.arange(n), np.arange(n)])
-        edges = np.arange(m)
-        var = np.concatenate([edges, edges, m + np.arange(n), m + n + np.arange(n), m + 2 * n + np.arange(n)])
-        value = np.concatenate([np.ones(2 * m + 2 * n), np.full(n, -2.0)])
-        degree = sparse.csr_array((value, (at, var)), shape=(n, len(self.cost)))
-        ones = np.ones(n)
-        taken = sparse.csr_array(
-            (ones, (self.pieces.region, m + 2 * n + np.arange(n))), shape=(self.n_regions, len(self.cost))
-        )
-        ends = sparse.csr_array(
-            (np.ones(2 * n), (np.repeat([0, 1], n), m + np.arange(2 * n))), shape=(2, len(self.cost))
-        )
-        return sparse.vstack([degree, taken, ends]).tocsr(), np.concatenate([np.zeros(n), np.ones(self.n_regions + 2)])
+        n, m, k = len(self.pieces.region), len(self.a), self.n_regions
+        ends = np.concatenate([self.a, self.b]), np.tile(np.arange(m), 2)
+        edges = sparse.csr_array((np.ones(2 * m), ends), shape=(n, m))
+        one, whole = sparse.eye_array(n), sparse.csr_array(np.ones((1, n)))
+        taken = sparse.csr_array((np.ones(n), (self.pieces.region, np.arange(n))), shape=(k, n))
+        rows = [
+            [edges, one, one, -2 * one],
+            [None, None, None, taken],
+            [None, whole, None, None],
+            [None, None, whole, None],
+        ]
+        return sparse.csr_array(sparse.block_array(rows)), np.concatenate([np.zeros(n), np.ones(k + 2)])
 
     def _inside(self, chosen):
         """Return the row of a cut: edges that leave a set of regions, starts and ends in it."""
@@ -175,18 +173,18 @@ class Path:
 
 
 def bound_by_pieces(
-    floor: Floor, regions: Sequence[np.ndarray], from_start: np.ndarray, high: int, *,
+    floor: Floor, cells: Sequence[int], high: int, *,
     most: int = 100, left_s: Callable[[], float], over: Callable[[], bool], branches: bool = True,
 ) -> int:  # fmt: skip
     """Compute a lower bound of every walk that sees all witnesses: a cost, at most `high`, that of a known walk.
 
-    `regions` are the witnesses' places, cut into about `most` pieces; `left_s` is asked for the seconds that are left,
-    `over` between programs; `branches` tells whether to branch after the linear relaxation.
+    `cells` are the witnesses, whose regions are cut into about `most` pieces; `left_s` is asked for the seconds that
+    are left, `over` between programs; `branches` tells whether to branch after the linear relaxation.
     """
-    regions = [places for places in regions if len(places) and from_start[places].min() > 0]
-    if not regions:
+    cells = [cell for cell in cells if len(floor.region(cell)) and floor.from_start[floor.region(cell)].min() > 0]
+    if not cells:
         return 0
-    path = Path(prepare_pieces(floor, regions, most, from_start), (high + 1) / STRAIGHT)
+    path = Path(prepare_pieces(floor, cells, most), (high + 1) / STRAIGHT)
     bound, solution = path.relax(over)
     if solution is not None and branches and not over():
         path.fix(bound, solution)

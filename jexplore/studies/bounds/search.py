@@ -78,27 +78,12 @@ class LowerBound(NamedTuple):
 class Search:
     """The search for lower bounds on one floor, of one start."""
 
-    def __init__(
-        self, scene: Scene, stand: np.ndarray, budget: Budget, coverage: Coverage, regions: dict[int, np.ndarray]
-    ) -> None:
-        """Prepare a search; `regions` are known regions, cell -> cells, and grow."""
-        self.scene, self.budget, self.coverage, self._regions = scene, budget, coverage, regions
-        self.floor = Floor(scene, stand, budget)
-        self.start = self.floor.numbers(np.array([scene.start]))
-        self.from_start = self.floor.away_from(self.start)
-        self._places: dict[int, np.ndarray] = {}
-
-    def region(self, cell: int) -> np.ndarray:
-        """Return places that see a cell."""
-        if cell not in self._places:
-            if cell not in self._regions:
-                self._regions[cell] = self.scene.region(cell)
-            self._places[cell] = self.floor.numbers(self._regions[cell])
-        return self._places[cell]
+    def __init__(self, scene: Scene, stand: np.ndarray, budget: Budget, coverage: Coverage) -> None:
+        self.floor, self.budget, self.coverage = Floor(scene, stand, budget), budget, coverage
 
     def dear_witness(self, order: list[int], walk: np.ndarray, unseen: np.ndarray) -> int:
         """Return an unseen cell that is costly for a walk that sees others in an order."""
-        tour = Tour(self.floor, self.from_start, self.region)
+        tour = Tour(self.floor)
         tour.to(order)
         unseen, _ = self.floor.farthest_first(unseen, walk)
         some = unseen[np.unique(np.linspace(0, len(unseen) - 1, UNSEEN_TRIED).astype(int))].tolist()
@@ -106,7 +91,7 @@ class Search:
 
     def farthest(self, cells: list[int]) -> int:
         """Return the least cost to see the farthest of some cells."""
-        return max((int(self.from_start[self.region(cell)].min()) for cell in cells), default=0)
+        return max((int(self.floor.from_start[self.floor.region(cell)].min()) for cell in cells), default=0)
 
     def shortest(self, share: float, high: int, known: Sequence[int] = ()) -> tuple[Subsets, np.ndarray | None]:
         """Search exactly: witnesses that the shortest walk does not see are added, known ones first, until it sees all.
@@ -114,7 +99,7 @@ class Search:
         Walks longer than `high` are not looked for. The walk is None where this share of the budget, the memory or the
         number of witnesses has ended first, or none is shorter than the known one.
         """
-        subsets, walk = Subsets(self.floor, high), self.floor.cells[self.start]
+        subsets, walk = Subsets(self.floor, high), self.floor.cells[[self.floor.start]]
         while True:
             unseen = self.coverage.unseen(walk)
             if not len(unseen):
@@ -122,7 +107,7 @@ class Search:
             cell = next((cell for cell in known if cell in unseen), None)
             if cell is None:
                 cell = self.dear_witness(subsets.order, walk, unseen)
-            for _ in subsets.add(cell, self.region(cell)):
+            for _ in subsets.add(cell):
                 if self.budget.over(share):
                     return subsets, None
             full = len(subsets.witnesses) >= MOST_WITNESSES or 2 * subsets.bytes > MAX_SUBSET_BYTES
@@ -138,32 +123,29 @@ class Search:
         `known` are witnesses, the most telling first; subsets may use up the share `until` of the budget, pieces, if
         the bound is far off, `pieces_until`.
         """
-        subsets, exact = self.shortest(until, walks.cost, known)
-        found = [LowerBound(min(subsets.low, walks.cost), "subsets", list(subsets.witnesses))]
+        budget, high = self.budget, walks.cost
+        subsets, exact = self.shortest(until, high, known)
+        found = [LowerBound(min(subsets.low, high), "subsets", list(subsets.witnesses))]
         if exact is None:
             found.append(LowerBound(self.farthest(walks.witnesses), "farthest", walks.witnesses))
-        if exact is None and found[0].low * FAR_RATIO < walks.cost:
-            found.append(LowerBound(self.by_pieces(known, pieces_until, walks.cost), "pieces", list(known)))
+        if exact is None and found[0].low * FAR_RATIO < high and not budget.over(pieces_until):
+            low = bound_by_pieces(
+                *(self.floor, known, high),
+                left_s=lambda: budget.left_s(pieces_until),
+                over=lambda: budget.over(pieces_until),
+                branches=budget.floods is None,  # else it would end when the clock says so
+            )
+            found.append(LowerBound(low, "pieces", list(known)))
         return max(found, key=lambda bound: bound.low), subsets.order, exact
-
-    def by_pieces(self, cells: Sequence[int], share: float, high: int) -> int:
-        """Compute the bound of many witnesses, see `pieces`; 0 if the share is spent."""
-        budget = self.budget
-        if budget.over(share):
-            return 0
-        how = {"left_s": lambda: budget.left_s(share), "over": lambda: budget.over(share)}
-        branches = budget.floods is None  # else it would end when the clock says so
-        regions = [self.region(cell) for cell in cells]
-        return bound_by_pieces(self.floor, regions, self.from_start, high, **how, branches=branches)
 
 
 def search(scene: Scene, budget: Budget, seed: int = 0) -> SearchResult:
     """Search the shortest walk of a start within the budget: see the modules `walks`, `subsets` and `pieces`."""
-    coverage, regions = Coverage(scene.sights, scene.must_see), {}
-    clear, rng = Search(scene, scene.clear, budget, coverage, regions), np.random.default_rng(seed)
-    walks = Walks(clear.floor, clear.from_start, clear.region, coverage, rng)
+    coverage, rng = Coverage(scene.sights, scene.must_see), np.random.default_rng(seed)
+    clear = Search(scene, scene.clear, budget, coverage)
+    walks = Walks(clear.floor, coverage, rng)
     if not walks.find(budget.over):
-        wide = Search(scene, scene.any, budget, coverage, regions)
+        wide = Search(scene, scene.any, budget, coverage)
         low, low_any = clear.farthest(walks.witnesses), wide.farthest(walks.witnesses)
         return SearchResult(walks.walk, FAR, max(low, low_any), low_any, False, walks.witnesses, "farthest")
     walks.shorten(lambda: budget.over(WALKS))
@@ -178,7 +160,7 @@ def search(scene: Scene, budget: Budget, seed: int = 0) -> SearchResult:
         assert best.low == high
     low_any = best.low
     if not np.array_equal(scene.any, scene.clear):
-        wide = Search(scene, scene.any, budget, coverage, regions)
+        wide = Search(scene, scene.any, budget, coverage)
         other, _, _ = wide.bound(known, walks, wide_until, 1.0)
         low_any = min(other.low, high)
         best = max(best, other, key=lambda bound: bound.low)

@@ -29,8 +29,8 @@ class Stops:
     places: np.ndarray
     """`[K]` int, the floor's place of each stop."""
 
-    def __init__(self, floor: Floor, from_start: np.ndarray, region: Callable[[int], np.ndarray]) -> None:
-        self._floor, self._all_from_start, self._region = floor, from_start, region
+    def __init__(self, floor: Floor) -> None:
+        self._floor = floor
         self.inside, self.own, self._number = {}, {}, {}
         self.from_start, self.places = np.zeros(0, np.int64), np.zeros(0, np.int64)
         self._apart = np.zeros((64, 64), np.int64)
@@ -44,13 +44,13 @@ class Stops:
         """Add a witness with stops all along the edge of its region."""
         if cell in self.own:
             return
-        region = self._region(cell)
+        region = self._floor.region(cell)
         edge = edge_of(self._floor, region)
         edge = edge if len(edge) else region
         self.inside[cell] = np.zeros(len(self._floor.cells), bool)
         self.inside[cell][region] = True
         rows, cols = self._floor.scene.cells(self._floor.cells[edge])
-        chosen = [int(np.argmin(self._all_from_start[edge]))]
+        chosen = [int(np.argmin(self._floor.from_start[edge]))]
         away = np.full(len(edge), np.iinfo(np.int64).max)
         while len(chosen) < STOPS:  # the farthest from those that there are
             away = np.minimum(away, np.maximum(np.abs(rows - rows[chosen[-1]]), np.abs(cols - cols[chosen[-1]])))
@@ -72,7 +72,7 @@ class Stops:
             if n == len(self._apart):
                 self._apart = np.pad(self._apart, (0, n))
             self._apart[n, :n] = self._apart[:n, n] = away
-            self.from_start = np.append(self.from_start, self._all_from_start[place])
+            self.from_start = np.append(self.from_start, self._floor.from_start[place])
             self.places = np.append(self.places, place)
             self._number[place] = n
         return self._number[place]

@@ -26,11 +26,10 @@ class Subsets:
 
     def __init__(self, floor: Floor, most: int = FAR) -> None:
         self.floor, self.most = floor, most
-        self.start = int(floor.numbers(np.array([floor.scene.start]))[0])
         self.witnesses, self.low, self.order = [], 0, []
         self._edges: list[np.ndarray] = []
         self._away: list[np.ndarray] = []  # cost to each region
-        self._costs: dict[int, np.ndarray] = {0: floor.away_from(np.array([self.start]))}
+        self._costs: dict[int, np.ndarray] = {0: floor.from_start}
 
     @property
     def bytes(self) -> int:
@@ -38,8 +37,9 @@ class Subsets:
         n = len(self.witnesses)
         return 4 * len(self.floor.cells) * len(self._costs) + 4 * n * 2**n
 
-    def add(self, cell: int, places: np.ndarray) -> Iterator[None]:
-        """Add a witness and the places that see it; the caller may stop after each flood: then nothing has changed."""
+    def add(self, cell: int) -> Iterator[None]:
+        """Add a witness; the caller may stop after each flood: then nothing has changed."""
+        places = self.floor.region(cell)
         assert len(places), "a witness that nobody can see"
         n = len(self.witnesses)
         edges = [*self._edges, edge_of(self.floor, places)]
@@ -94,7 +94,7 @@ class Subsets:
             assert seen is not None
             order.append(self.witnesses[seen])
             mask &= ~(1 << seen)
-        way += self.floor.back(self._costs[0], way[-1], lambda place: place == self.start)[1:]
+        way += self.floor.back(self._costs[0], way[-1], lambda place: place == self.floor.start)[1:]
         self.order = order[::-1]
         return self.floor.cells[way[::-1]]
 

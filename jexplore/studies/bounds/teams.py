@@ -31,7 +31,7 @@ def team_low(scene: Scene, witnesses: Sequence[int], starts: np.ndarray) -> int:
     """
     floor = Floor(scene, scene.any, Budget(None, 1))
     places = floor.numbers((starts[:, 0] + scene.pad) * scene.width + starts[:, 1] + scene.pad)
-    regions = [places, *(floor.numbers(scene.region(cell)) for cell in witnesses)]
+    regions = [places, *map(floor.region, witnesses)]
     apart = np.array([[away[region].min() for region in regions] for away in map(floor.away_from, regions)], np.float64)
     apart = np.minimum(apart, apart.T)  # a cost is of a path, and the same both ways
     chosen, least, tree = [0], apart[0].copy(), 0.0

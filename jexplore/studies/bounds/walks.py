@@ -28,14 +28,11 @@ class Walks:
     stops: Stops
     """All witnesses."""
 
-    def __init__(
-        self, floor: Floor, from_start: np.ndarray, region: Callable[[int], np.ndarray], coverage: Coverage,
-        rng: np.random.Generator,
-    ) -> None:  # fmt: skip
-        self.floor, self.region, self.coverage, self._rng = floor, region, coverage, rng
-        self.stops = Stops(floor, from_start, region)
+    def __init__(self, floor: Floor, coverage: Coverage, rng: np.random.Generator) -> None:
+        self.floor, self.coverage, self._rng = floor, coverage, rng
+        self.stops = Stops(floor)
         self.walk, self.cost = np.zeros(0, np.int64), FAR
-        self._tour = Tour(floor, from_start, region)
+        self._tour = Tour(floor)
         self._kept: list[StopOrder] = [StopOrder(self.stops)]
 
     @property
@@ -131,6 +128,6 @@ class Walks:
         for patch in patches[np.sort(first)][:NEW]:
             own = unseen[patches == patch]
             some = own[np.unique(np.linspace(0, len(own) - 1, PATCH_SAMPLES).astype(int))].tolist()
-            sizes = {cell: (int(away[self.region(cell)].min()), -len(self.region(cell))) for cell in some}
-            found.append(max(some, key=lambda cell: sizes[cell]))
+            regions = {cell: self.floor.region(cell) for cell in some}
+            found.append(max(some, key=lambda cell: (away[regions[cell]].min(), -len(regions[cell]))))
         return found

@@ -18,6 +18,15 @@ from jexplore.tracemap.record import BtmMap
 NOISE = "noise."  # names of noise begin so in a sweep
 
 
+def floats_of(value: Any) -> tuple[float, ...]:
+    """Convert numbers, or a text such as `12.5,4`, to finite floats; () for anything else."""
+    try:
+        found = tuple(map(float, value.split(",") if isinstance(value, str) else value))
+    except (TypeError, ValueError, OverflowError):
+        return ()
+    return found if all(map(math.isfinite, found)) else ()
+
+
 def require_start_pose(start: Sequence[float]) -> None:
     """Refuse a pose in metres and degrees that no map has."""
     for name, value in zip(("x", "y", "heading"), start):
@@ -70,14 +79,11 @@ def attributes_of(texts: Sequence[str]) -> tuple[tuple[str, Any, tuple[float, fl
     for text in texts:
         what, _, place = text.rpartition("@")
         name, equals, value = what.partition("=")
-        try:
-            x_m, y_m = (float(v) for v in place.split(","))
-        except ValueError:
-            x_m = y_m = math.nan
-        if not (name and equals and math.isfinite(x_m) and math.isfinite(y_m)):
+        at_m = floats_of(place)
+        if not (name and equals and len(at_m) == 2):
             raise InputError(f"attribute must be NAME=VALUE@X,Y, as in victim=true@12.5,4, got {text!r}")
         with contextlib.suppress(ValueError, RecursionError):
             value = json.loads(value, parse_constant=str)
         BtmMap((), ()).with_attributes({name: value})
-        found.append((name, value, (x_m, y_m)))
+        found.append((name, value, at_m))
     return tuple(found)

@@ -14,11 +14,12 @@ from jexplore.driving import behaviour, events, mission, vehicle
 from jexplore.driving.batch import Driven, step_slots
 from jexplore.driving.building.walls import segments
 from jexplore.driving.local.run import LocalRun
-from jexplore.driving.mission import RunOutcome
+from jexplore.driving.mission import MissionTask, RunOutcome, Setup
 from jexplore.driving.params.tree import using
-from jexplore.driving.records import RunMode
+from jexplore.driving.records import RunMode, State
 from jexplore.driving.sensing import surround
 from jexplore.engine.devices import pinned_draws, random_key
+from jexplore.engine.program import Given
 from jexplore.report.operator_view import RunRecording
 from jexplore.studies.traces.job import TraceJob
 from jexplore.worlds.readers.scans import ScanLog
@@ -93,20 +94,39 @@ def beam_ends(log: ScanLog, poses: np.ndarray) -> np.ndarray:
     return poses[:, None, :2] + length[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
+def begin_run(plan: TraceJob, run: int) -> tuple[Setup, Given, State]:
+    """Return the config, the context and the first state of a run by triangles, for `advance`."""
+    robot, tuning, noise, params = _setting(plan, 0)
+    setup = Setup(step_slots(plan.max_steps), *plan.size)
+    given = Given(
+        key=jax.random.fold_in(random_key(np.uint32(plan.seed)), run),
+        shared=(),
+        scenes=jax.tree.map(lambda a: jnp.asarray(a)[None], plan.building),
+        scene=jnp.int32(0),
+        numbers=jnp.int32(plan.max_steps),
+        task=MissionTask(robot, tuning, noise, jnp.asarray(plan.starts_of(np.array([run]))[0]), params),
+    )
+    # With exactly the types that a step returns, not weak ones: else the second step would be compiled once more.
+    return setup, given, jax.tree.map(lambda a: jnp.asarray(a, a.dtype), mission.begin(setup, given))
+
+
+advance = pinned_draws()(jax.jit(mission.advance, static_argnums=0))
+"""Make one step of a run."""
+
+
 @pinned_draws()
 @jax.jit
-def _frame(key, building, settings, state):
-    """Make one step, and return its view."""
-    robot, tuning, noise, params = settings
+def _view(given, state, after):
+    """Return the view of a step, from the states before and after it."""
+    building, (robot, tuning, noise, _, params) = given.own_scene, given.task
     with using(params):
-        draws = vehicle.draw_one(key, noise)
+        draws = vehicle.draw_one(jax.random.fold_in(given.key, state.step), noise)
         senses = vehicle.read_sensors(draws, building, robot, noise, state.body)
-        after = mission.make_step(draws, building, robot, tuning, noise, state)
         walls = events.walls_of_scan(mission.smooth_senses(senses, robot)[0].ranges_m, tuning, robot)
         found = events.triangles(*surround.known_points(after.around), walls.beside.min(), tuning)
         best = jnp.argsort(jnp.where(found.valid, jnp.hypot(*found.centre.T), jnp.inf))[:TRIANGLES]
         there = found.valid[best]
-        seen = {
+        return {
             "pose": state.body.pose,
             "estimate": state.estimate,
             "mode": after.mode,
@@ -122,7 +142,6 @@ def _frame(key, building, settings, state):
             "left_m": walls.region_sides[0],
             "right_m": walls.region_sides[1],
         }
-    return after, seen
 
 
 def record_run(plan: TraceJob, on_progress: Callable[[int], Any] = lambda n: None) -> RunRecording:
@@ -149,25 +168,18 @@ def record_run(plan: TraceJob, on_progress: Callable[[int], Any] = lambda n: Non
 
 def _frames(plan, on_progress):
     """Return the series of a run by triangles, step by step, and its map."""
-    settings, building = _setting(plan, 0), jax.device_put(plan.building)
-    setup = mission.Setup(step_slots(plan.max_steps), *plan.size)
-    key = jax.random.fold_in(random_key(np.uint32(plan.seed)), 0)
-    # With exactly the types that a step returns, not weak ones: else the second step would be compiled once more.
-    state = jax.tree.map(
-        lambda a: jnp.asarray(a, a.dtype), mission.initial_state(setup, building, settings[0], plan.begins[0])
-    )
-    frames, steps = [], 0
-    while int(state.outcome) == RunOutcome.RUNNING and steps < plan.max_steps:
-        state, seen = _frame(jax.random.fold_in(key, steps), building, settings, state)
-        frames.append(jax.device_get(seen))
-        steps += 1
-        on_progress(steps)
+    setup, given, state = begin_run(plan, 0)
+    frames = []
+    while int(state.outcome) == RunOutcome.RUNNING:
+        before, state = state, advance(setup, given, state)
+        frames.append(jax.device_get(_view(given, before, state)))
+        on_progress(len(frames))
     series = {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}
     status = series.pop("status")
     used = np.flatnonzero(status[-1] != btm.NONE)
     there, searched = status[:, used] != btm.NONE, status[:, used] == btm.SEARCHED
     series |= {"n_links": there.sum(axis=1)}
-    series["link_searched_frame"] = np.where(searched.any(axis=0), searched.argmax(axis=0), steps)
+    series["link_searched_frame"] = np.where(searched.any(axis=0), searched.argmax(axis=0), len(frames))
     return series, btm.to_map(jax.device_get(state.writer.map), origin_m=plan.world.origin_m)
 
 

@@ -1,5 +1,6 @@
 """Routes over a Behavioral Trace Map for robots other than the one that wrote it: one, or many at a time."""
 
+import contextlib
 import dataclasses
 import functools
 import math
@@ -11,6 +12,7 @@ import numpy as np
 from jexplore.config import InputError, checked_names, require_number, shown
 from jexplore.driving.settings import Robot, require_robot
 from jexplore.studies.traces.job import robot_of
+from jexplore.studies.traces.options import floats_of
 from jexplore.tracemap.passable import hindrances, refusals
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, check_map
 from jexplore.tracemap.route import MapIndex, Route
@@ -125,7 +127,7 @@ def _node(index: MapIndex, place: RoutePlace, name: str, within_m: float) -> int
     if name == "to" and isinstance(place, str) and place == UNSEARCHED:
         return None
     ids, numbers = index.nodes, _numbers(place)
-    if numbers is None:
+    if not numbers:
         also = f", or {UNSEARCHED}" if name == "to" else ""
         raise InputError(f"{name} must be a node's id or X,Y in metres{also}, got {shown(place)}")
     if len(numbers) == 1:
@@ -147,19 +149,12 @@ def _named(ids):
 
 
 def _numbers(place):
-    """Convert a place to a tuple of one whole number or two numbers; None for anything else."""
-    try:
-        if isinstance(place, str):
-            parts = place.split(",")
-            found = (int(place),) if len(parts) == 1 else tuple(map(float, parts))
-        elif isinstance(place, (int, np.integer)):
-            found = () if isinstance(place, bool) else (int(place),)
-        else:
-            found = tuple(map(float, place))
-            found = found if len(found) == 2 else ()
-    except (TypeError, ValueError, OverflowError):
-        return None
-    return found if 1 <= len(found) <= 2 and all(map(math.isfinite, found)) else None
+    """Convert a place to a tuple of one whole number or two numbers; () for anything else."""
+    with contextlib.suppress(ValueError, TypeError, OverflowError):
+        if isinstance(place, (str, int, np.integer)) and not isinstance(place, bool):
+            return (int(place),)
+    found = floats_of(place)
+    return found if len(found) == 2 else ()
 
 
 def _made(index, use, pair, walk):

@@ -1,6 +1,5 @@
 """Evidence for a guess about two maps: log likelihood of one place against two that look alike."""
 
-import functools
 import math
 from collections.abc import Callable, Iterable
 
@@ -34,7 +33,6 @@ class Evidence:
         self._wide = _Usual([way.width_m for way in ways], lambda one, other: _bell(one - other, WIDTH_M))
         self._open = _Usual([way.opening_m for *_, way in ends], self._wide.bell)
         self._steep = _Usual(slopes, lambda one, other: _bell(one - other, INCLINATION_DEG))
-        self._alike = functools.cache(pair.counts)
 
     @property
     def tries(self) -> float:
@@ -63,9 +61,8 @@ class Evidence:
 
     def _node(self, a, i, b, j):
         """Return the evidence of a node that looks alike, by how many others would as well."""
-        at = self.pair.lost(a, b)[i]
-        lost = max(at[j], 0)
-        alike = sum(self._alike(a, i)[: lost + 1]) - sum(0 <= one <= lost for one in at)
+        lost = self.pair.alike[a, i, b, j].lost
+        alike = self.pair.others_alike(a, i, b, lost)
         others = self._ends - len(self.pair.one.ways[a]) - len(self.pair.other.ways[b])
         return -math.log((PRIOR * ALIKE_CHANCE + alike) / (PRIOR + others)) - LOST_LINK_NATS * lost
 

@@ -36,11 +36,6 @@ class Limits(Settings):
         """Return the tolerance of the turn of a way, degrees."""
         return self.angle_deg + 2 * math.sqrt(2 * way_m) * self.heading_deg
 
-    def place(self, away_m: float) -> float:
-        """Return the tolerance, metres, of places at a distance from their middle: 3 sigma of both heading walks."""
-        walk = 3 * math.sqrt(2 * away_m / 3) * math.radians(self.heading_deg)
-        return 2 * self.length_m + (2 * self.length_share + walk) * away_m
-
 
 @checked_names
 @dataclasses.dataclass(frozen=True)

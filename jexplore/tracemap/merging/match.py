@@ -2,7 +2,6 @@
 
 import dataclasses
 import enum
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 
@@ -11,13 +10,12 @@ import numpy as np
 from jexplore.tracemap.merging.evidence import Evidence
 from jexplore.tracemap.merging.limits import Limits
 from jexplore.tracemap.merging.pair import Guess, Pair, PlaceWay, leaving_alike, places_of
-from jexplore.tracemap.merging.rigid import Move, apart_deg, fit, mean_deg, mirrored
+from jexplore.tracemap.merging.rigid import Move, fit, mean_deg
 from jexplore.tracemap.record import BtmMap
 
 EVIDENCE = 6.0  # nats that a match must be worth, beyond what the number of tries makes of chance
 MARGIN = 4.6  # nats by which it must be worth more than any other that it excludes: a hundred to one
 CLEAR = 2.0  # a neighbour's second-nearest candidate lies at least this many times as far away
-PART_NATS = 2.0  # that a part must be worth that hangs together by ways which only one map has
 
 
 class Merging(enum.Enum):
@@ -43,52 +41,38 @@ class Match:
     move: Move  # takes the second map into the frame of the first
     evidence: float  # nats beyond chance
     margin: float
-    """Nats beyond the best match that excludes it; infinite without one. 0 at most where it contradicts itself and the
-    second map in a mirror explains more."""
+    """Nats beyond the best match that gives a node another meaning; infinite without one."""
 
 
 NOTHING = Match(Merging.MERGED, {}, (), (), (), Move(), math.inf, math.inf)
-
-
-@dataclasses.dataclass
-class _Candidate:
-    guess: Guess
-    gain: float
-    nodes: dict[int, int]
-    move: Move
 
 
 def match_maps(one: BtmMap, other: BtmMap, *, limits: Limits | None = None, min_common: int = 3) -> Match:
     """Find the common part of two proper maps.
 
     Guesses are grown from every pair of nodes that look alike, and weighed. The best one holds if it has enough nodes,
-    enough evidence and no rival nearly as good. If it contradicts itself, the mirrored second map is a rival too: the
-    common part of a building and its mirror image ends in nodes whose links leave the other way round. Then parts are
-    added that lie at the expected position but connect only by ways that one map lacks; last, by `with_neighbours`,
-    nodes at the expected position that look different.
+    enough evidence and no rival nearly as good. Then nodes at the expected position are added by `with_neighbours`.
     """
-    pair, tries, found = _weighed(one, other, limits or Limits())
-    best = next(found, None)
-    if best is None:
+    pair = Pair(places_of(one), places_of(other), limits or Limits())
+    evidence = Evidence(pair)
+    weighed = [(evidence.gain(guess), guess.entries[0]) for guess in pair.guesses()]
+    weighed.sort(key=lambda entry: -entry[0])
+    # Once more grown: few are asked for, and all together would take much memory.
+    grown = ((gain, guess, _nodes_of(guess, pair.limits)) for gain, guess in ((g, pair.grown(*e)) for g, e in weighed))
+    gain, best, nodes = next(grown, (-math.inf, Guess(), {}))
+    if not nodes:
         return dataclasses.replace(NOTHING, outcome=Merging.NOT_ENOUGH_IN_COMMON, evidence=-math.inf)
-    rivals, rest = itertools.tee(found)
-    margin = best.gain - next((c.gain for c in rivals if not _together(best, c, other, pair.limits)), -math.inf)
-    worth = best.gain - tries
-    if best.guess.contradictions:
-        reflected = next(_weighed(one, mirrored(other), pair.limits)[2], None)
-        margin = min(margin, 0.0 if reflected is not None and reflected.gain > best.gain + MARGIN else math.inf)
-    parts = _parts(best, rest, other, pair.limits)
-    nodes = {b: a for part in parts for b, a in part.nodes.items()}
+    margin = gain - next((rival for rival, _, others in grown if _exclude(nodes, others)), -math.inf)
+    worth = gain - evidence.tries
     if len(nodes) < min_common or worth < EVIDENCE:
         outcome = Merging.NOT_ENOUGH_IN_COMMON
     else:
         outcome = Merging.AMBIGUOUS if margin < MARGIN else Merging.MERGED
     places = _places(one), _places(other)
-    move = _fit(*places, nodes, best.move.turn_deg)
-    ways, against = ([x for part in parts for x in getattr(part.guess, name)] for name in ("ways", "contradictions"))
-    sure = set(nodes)
+    move = _fit(*places, nodes, mean_deg([alike.turn_deg for alike in best.alike.values()]))
+    ways, against, sure = best.ways, best.contradictions, set(nodes)
     if outcome is Merging.MERGED:
-        turns = {a: alike.turn_deg for part in parts for a, alike in part.guess.alike.items()}
+        turns = {a: alike.turn_deg for a, alike in best.alike.items()}
         nodes, ways = with_neighbours(pair, nodes, ways, turns, move)
         move = _fit(*places, nodes, move.turn_deg)
         same = [_links(*both) for both in ways]
@@ -97,48 +81,27 @@ def match_maps(one: BtmMap, other: BtmMap, *, limits: Limits | None = None, min_
     return Match(outcome, nodes, tuple(ways), tuple(against), beside, move, worth, margin)
 
 
-def _weighed(one, other, limits):
-    """Return the pair, the logarithm of its tries, and the `_Candidate`s that drift allows, the best first."""
-    pair = Pair(places_of(one), places_of(other), limits)
-    evidence, onto, points = Evidence(pair), _places(one), _places(other)
-    weighed = [(evidence.gain(guess), *guess.entries[0]) for guess in pair.guesses()]
-    weighed.sort(key=lambda entry: -entry[0])
-
-    def allowed():
-        for gain, *entry in weighed:
-            guess = pair.grown(*entry)  # once more: few are asked for, and all together would take much memory
-            nodes = {b: a for a, b in guess.places.items()} | _same_stops(guess, limits)
-            move = _move(onto, points, guess, nodes, limits)
-            if move is not None:
-                yield _Candidate(guess, gain, nodes, move)
-
-    return pair, evidence.tries, allowed()
-
-
-def _same_stops(guess, limits):
-    """Return terminal nodes of two maps at one point of a way: `{of the second: of the first}`."""
+def _nodes_of(guess, limits):
+    """Return the nodes of a guess: `{of the second: of the first}`, terminal nodes at one point of a way included."""
     whole = [(way.length_m, match.length_m) for way, match in guess.ways if way.is_whole and match.is_whole]
     noise2, scale2 = limits.length_m**2 / 4 + 1e-6, limits.length_share**2 * 2 / 3 + 1e-9
     first, second = (sum(lengths[side] ** 2 for lengths in whole) / noise2 + 1 / scale2 for side in (0, 1))
     scale = (second / first) ** 0.25  # half of the correction to either map
     unsure = (first * second) ** -0.25  # standard deviation of the scale that the ways leave open
-    same = {}
+    nodes = {b: a for a, b in guess.places.items()}
     for way, match in guess.ways:
         for a, at in way.stops:
-            near = [(abs(there / scale - scale * at), there, b) for b, there in match.stops if b not in same]
+            near = [(abs(there / scale - scale * at), there, b) for b, there in match.stops if b not in nodes]
             off, there, b = min(near, default=(math.inf, 0.0, -1))
             if off <= limits.length_m + 2 * math.sqrt(at * there) * unsure:
-                same[b] = a
-    return same
+                nodes[b] = a
+    return nodes
 
 
-def _move(onto, points, guess, nodes, limits):
-    """Return the transform of a guess; None if places lie farther apart than drift allows."""
-    move = _fit(onto, points, nodes, mean_deg([alike.turn_deg for alike in guess.alike.values()]))
-    middle = [sum(onto[a][axis] for a in nodes.values()) / len(nodes) for axis in (0, 1)]
-    limit_m = limits.place(max(math.dist(onto[a], middle) for a in nodes.values()))
-    is_near = all(math.dist(move.place(*points[b]), onto[a]) <= limit_m for b, a in nodes.items())
-    return move if is_near else None
+def _exclude(nodes, others):
+    """Return whether a node has two meanings in two guesses."""
+    back = {a: b for b, a in nodes.items()}
+    return any(nodes.get(b, a) != a or back.get(a, b) != b for b, a in others.items())
 
 
 def _places(btm):
@@ -151,34 +114,6 @@ def _fit(onto, points, nodes, turn_deg):
 
 def _links(way, match):
     return {id(link) for one in (way, match) for link, _ in one.steps}
-
-
-def _together(best, candidate, other, limits):
-    """Return whether two guesses are compatible: no node has two meanings, and they move the second map alike."""
-    back = {a: b for b, a in best.nodes.items()}
-    if any(best.nodes.get(b, a) != a or back.get(a, b) != b for b, a in candidate.nodes.items()):
-        return False
-    if candidate.nodes.keys() & best.nodes.keys():
-        return True
-    points = _places(other)
-    middle = points[next(iter(best.nodes))]
-    for b in candidate.nodes:
-        away = math.dist(points[b], middle)
-        if math.dist(best.move.place(*points[b]), candidate.move.place(*points[b])) > limits.place(away):
-            return False
-    away = math.dist(points[next(iter(candidate.nodes))], middle)
-    return abs(apart_deg(best.move.turn_deg, candidate.move.turn_deg)) <= limits.turn(away)
-
-
-def _parts(best, rest, other, limits):
-    """Return the best guess and those compatible with it, the best first."""
-    parts = [best]
-    for candidate in itertools.takewhile(lambda candidate: candidate.gain > PART_NATS, rest):
-        taken = {b for part in parts for b in part.nodes}
-        is_new = not taken & candidate.nodes.keys() and not candidate.guess.contradictions
-        if is_new and all(_together(part, candidate, other, limits) for part in parts):
-            parts.append(candidate)
-    return parts
 
 
 def with_neighbours(

@@ -4,8 +4,10 @@ A place is a node that robots recognise; terminal nodes, which lie where a run b
 Likeness is computed for all places of one type and number of ways at a time.
 """
 
+import collections
 import dataclasses
 import itertools
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
@@ -102,16 +104,6 @@ class Likeness:
     lost: int  # ways that only one of them has
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Table:
-    """N places with n ways and M with m, of one type and obstacle, each entered by every one of its ways."""
-
-    lost: np.ndarray  # `[N, n, M, m]` int16, see `Likeness`; -1 where they do not look alike
-    turn_deg: np.ndarray  # `[N, n, M, m]` float64, see `Likeness`
-    ways: np.ndarray
-    """`[N, n, M, m, min(n, m)]` int32, ways that leave alike, the nearest first, as way * m + way; -1 for none."""
-
-
 @dataclasses.dataclass(slots=True)
 class Guess:
     """Correspondence of places of two maps."""
@@ -134,70 +126,31 @@ class Pair:
     them has, as where a robot took a niche for a passage, is lost; more than `Limits.lost` are too many.
     """
 
+    alike: dict[tuple[int, int, int, int], Likeness]
+    """Places that look alike, each entered by one of its ways: `(place, way, place, way)`, of the first map and of the
+    second."""
+
     def __init__(self, one: Places, other: Places, limits: Limits) -> None:
         self.one, self.other, self.limits = one, other, limits
-        self._kinds = {part: _kinds_of(part) for part in (one, other)}
-        self._rows = {  # map -> place -> its kind and its row in tables of that kind
-            part: {a: (kind, row) for kind, own in kinds.items() for row, a in enumerate(own)}
-            for part, kinds in self._kinds.items()
-        }
-        self._tables: dict[tuple, _Table | None] = {}
+        self.alike = dict(_compared(one, other, limits))
+        self._counts: collections.Counter[tuple[int, int, int]] = collections.Counter()
+        own = (both for both in _compared(one, one, limits) if both[0][0] != both[0][2])
+        for (a, i, *_), alike in itertools.chain(self.alike.items(), own):
+            self._counts.update((a, i, lost) for lost in range(alike.lost, limits.lost + 1))
 
-    def lost(self, a: int, b: int) -> list[list[int]]:
-        """Return how many ways only one of two places has, by the ways they are entered by; -1 where they differ."""
-        table, row, column = self._found(a, b)
-        shape = len(self.one.ways[a]), len(self.other.ways[b])
-        return table.lost[row, :, column].tolist() if table else [[-1] * shape[1]] * shape[0]
-
-    def counts(self, a: int, i: int) -> list[int]:
-        """Count the ends of ways of both maps that look like one of the first map, by the number of ways lost.
-
-        Those of its own place do not count.
-        """
-        (kind, row), found = self._rows[self.one][a], np.zeros(self.limits.lost + 1, np.int64)
-        for part in (self.one, self.other):
-            for other_kind in self._kinds[part]:
-                if table := self._table(kind, part, other_kind):
-                    lost = table.lost[row, i]
-                    lost = np.delete(lost, row, axis=0) if part is self.one and kind == other_kind else lost
-                    found += np.bincount(lost[lost >= 0], minlength=len(found))
-        return found.tolist()
-
-    def likeness(self, a: int, i: int, b: int, j: int) -> Likeness | None:
-        """Compare two places, each entered by one of its ways; None if they do not look alike."""
-        table, row, column = self._found(a, b)
-        if table is None or table.lost[row, i, column, j] < 0:
-            return None
-        n, at = len(self.other.ways[b]), (row, i, column, j)
-        ways = tuple(divmod(both, n) for both in table.ways[at].tolist() if both >= 0)
-        return Likeness(float(table.turn_deg[at]), ways, int(table.lost[at]))
-
-    def _found(self, a, b):
-        """Return the table of two places, None where they cannot look alike, and their indices in it."""
-        (kind, row), (other_kind, column) = self._rows[self.one][a], self._rows[self.other][b]
-        return self._table(kind, self.other, other_kind), row, column
-
-    def _table(self, kind, part, other_kind):
-        """Compare the places of a kind of the first map with those of a kind of either map, once."""
-        key, most_lost = (kind, part, other_kind), self.limits.lost
-        if key not in self._tables:
-            n, m = kind[2], other_kind[2]
-            is_possible = kind[:2] == other_kind[:2] and abs(n - m) <= most_lost and n * m
-            first = _bearings(self.one, self._kinds[self.one][kind])
-            second = _bearings(part, self._kinds[part][other_kind])
-            self._tables[key] = _compared(first, second, self.limits.angle_deg, most_lost) if is_possible else None
-        return self._tables[key]
+    def others_alike(self, a: int, i: int, b: int, lost: int) -> int:
+        """Count the ends of ways of other places of both maps that look like one with at most `lost` ways lost."""
+        there = (self.alike.get((a, i, b, j)) for j in range(len(self.other.ways[b])))
+        return self._counts[a, i, lost] - sum(alike is not None and alike.lost <= lost for alike in there)
 
     def guesses(self) -> Iterator[Guess]:
         """Yield all guesses, each once: from every pair of places that look alike, in every turn."""
         seen = set()
-        for a, b in itertools.product(self.one.ways, self.other.ways):
-            for i, row in enumerate(self.lost(a, b)):
-                for j, lost in enumerate(row):
-                    if lost >= 0 and (a, i, b, j) not in seen:
-                        guess = self.grown(a, i, b, j)
-                        seen.update((p, m, q, n) for p, q in guess.places.items() for m, n in guess.alike[p].ways)
-                        yield guess
+        for entry in sorted(self.alike):
+            if entry not in seen:
+                guess = self.grown(*entry)
+                seen.update((p, m, q, n) for p, q in guess.places.items() for m, n in guess.alike[p].ways)
+                yield guess
 
     def grown(self, a: int, i: int, b: int, j: int) -> Guess:
         """Grow a guess from place a = place b, with way i of the one equal to way j of the other.
@@ -222,7 +175,7 @@ class Pair:
 
     def _enter(self, guess, a, i, b, j, turn_deg=0.0, limit_deg=180.0):
         """Match two places if they look alike, with the second turned by `turn_deg`; return whether they do."""
-        alike = self.likeness(a, i, b, j)
+        alike = self.alike.get((a, i, b, j))
         if alike is None or abs(apart_deg(alike.turn_deg, turn_deg)) > limit_deg:
             return False
         guess.places[a], guess.others[b], guess.alike[a] = b, a, alike
@@ -258,40 +211,40 @@ def leaving_alike(
 
 
 def _kinds_of(part):
-    """Return the places of a map by `(type, obstacle, number of ways)`."""
+    """Return the places of a map by `(type, obstacle, number of ways)`, and the bearings of these ways."""
     kinds: dict[tuple, list[int]] = {}
     for a, node in part.nodes.items():
-        kinds.setdefault((node.type, node.obstacle, len(part.ways[a])), []).append(a)
-    return kinds
+        if part.ways[a]:
+            kinds.setdefault((node.type, node.obstacle, len(part.ways[a])), []).append(a)
+    return {
+        kind: (own, np.array([[way.bearing_deg for way in part.ways[a]] for a in own])) for kind, own in kinds.items()
+    }
 
 
-def _bearings(part, places):
-    return np.array([[way.bearing_deg for way in part.ways[a]] for a in places])
-
-
-def _compared(first, second, angle_deg, most_lost):
-    """Return the `_Table` of places with these bearings, `[N, n]` and `[M, m]`."""
-    n, m = first.shape[1], second.shape[1]
-    shape = len(first), n, len(second), m
-    lost, turn_deg = np.full(shape, -1, np.int16), np.empty(shape)
-    ways = np.full((*shape, min(n, m)), -1, np.int32)
-    need, flat = -(-(n + m - most_lost) // 2), (lost.reshape(-1), turn_deg.reshape(-1), ways.reshape(-1, min(n, m)))
-    step = max(MAX_ANGLES // (n * m), 1)
-    for begin in range(0, lost.size, step):
-        here = np.arange(begin, min(begin + step, lost.size))
-        a, i, b, j = np.unravel_index(here, shape)
-        turn = apart_deg(first[a, i], second[b, j])
-        off = apart_deg(first[a][:, :, None], second[b][:, None] + turn[:, None, None])
-        off[(np.arange(n) == i[:, None])[:, :, None] != (np.arange(m) == j[:, None])[:, None]] = np.inf
-        near = np.abs(off) <= 2 * angle_deg
-        may = (near.any(axis=2).sum(axis=1) >= need) & (near.any(axis=1).sum(axis=1) >= need)
-        here, i, j, turn = here[may], i[may], j[may], turn[may]
-        found, middle = _matched(off[may], angle_deg)
-        own = n + m - 2 * (found >= 0).sum(axis=1)
-        alike = (found == (i * m + j)[:, None]).any(axis=1) & (own <= most_lost)
-        here = here[alike]
-        flat[0][here], flat[1][here], flat[2][here] = own[alike], apart_deg(turn + middle, 0.0)[alike], found[alike]
-    return _Table(lost, turn_deg, ways)
+def _compared(one: Places, other: Places, limits: Limits) -> Iterator[tuple[tuple[int, int, int, int], Likeness]]:
+    """Compare the places of two maps, each entered by every one of its ways: yield those that look alike."""
+    for (kind, (own, first)), (match, (others, second)) in itertools.product(
+        _kinds_of(one).items(), _kinds_of(other).items()
+    ):
+        n, m = first.shape[1], second.shape[1]
+        if kind[:2] != match[:2] or abs(n - m) > limits.lost:
+            continue
+        shape, step = (len(own), n, len(others), m), max(MAX_ANGLES // (n * m), 1)
+        need = -(-(n + m - limits.lost) // 2)
+        for begin in range(0, math.prod(shape), step):
+            a, i, b, j = np.unravel_index(np.arange(begin, min(begin + step, math.prod(shape))), shape)
+            turn = apart_deg(first[a, i], second[b, j])
+            off = apart_deg(first[a][:, :, None], second[b][:, None] + turn[:, None, None])
+            off[(np.arange(n) == i[:, None])[:, :, None] != (np.arange(m) == j[:, None])[:, None]] = np.inf
+            near = np.abs(off) <= 2 * limits.angle_deg
+            may = (near.any(axis=2).sum(axis=1) >= need) & (near.any(axis=1).sum(axis=1) >= need)
+            a, i, b, j, turn = (each[may] for each in (a, i, b, j, turn))
+            found, middle = _matched(off[may], limits.angle_deg)
+            lost, turn = n + m - 2 * (found >= 0).sum(axis=1), apart_deg(turn + middle, 0.0)
+            for k in np.flatnonzero((found == (i * m + j)[:, None]).any(axis=1) & (lost <= limits.lost)).tolist():
+                ways = tuple(divmod(both, m) for both in found[k].tolist() if both >= 0)
+                at = own[a[k]], int(i[k]), others[b[k]], int(j[k])
+                yield at, Likeness(float(turn[k]), ways, int(lost[k]))
 
 
 def _matched(off_deg, angle_deg):

@@ -56,7 +56,7 @@ def first_found(plan: TraceJob, log: RobotLog) -> np.ndarray:
     for j, (x, y, radius) in enumerate(marks):
         near = np.hypot(log.truth[:, 0] - x, log.truth[:, 1] - y) < radius
         found[0, j] = near.argmax() + 1 if near.any() else math.inf
-    for exchange in range(len(log.rows) + 1):
+    for exchange in range(len(log.exchanges) + 1):
         held = log.held(exchange)
         is_one = np.isin(held.map.kind, (DIVERGENCE, FREE_SPACE)) & (np.arange(len(held.node_at)) < held.map.n_nodes)
         own = junctions_at(plan, held.node_at[is_one])

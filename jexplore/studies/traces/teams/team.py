@@ -13,7 +13,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy.sparse.csgraph import connected_components
 
-from jexplore.config import InputError, as_record, checked_names, require_engine, require_whole, shown
+from jexplore.config import InputError, as_record, checked_names, require_whole, shown
 from jexplore.driving.batch import pose_in, require_start
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.engine.runner import Costs
@@ -23,7 +23,7 @@ from jexplore.report.page.station import MapPanel
 from jexplore.report.plot_traces import team_figure
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.traces.job import AUTO, START_CLEARANCE_M, TraceJob, prepare_trace
-from jexplore.studies.traces.options import require_start_pose
+from jexplore.studies.traces.options import floats_of, require_start_pose
 from jexplore.studies.traces.recording import wall_lines
 from jexplore.studies.traces.station import GLOBAL_MAP, WHY, page_from
 from jexplore.studies.traces.teams.clock import EXCHANGE_STEPS, RobotLog, run_robots
@@ -95,16 +95,11 @@ class TraceTeamResult:
 
 def read_reach(contact: Any) -> float:
     """Return within how many metres robots of a contact exchange maps; -1 for none."""
-    word, colon, metres = str(contact).partition(":")
-    reach = {"all": math.inf, "none": -1.0}.get(word, math.nan) if not colon else math.nan
-    if word == "range":
-        try:
-            reach = float(metres)
-        except ValueError:
-            reach = math.nan
-    if math.isnan(reach) or (word == "range" and not 0 <= reach < math.inf):
+    word, _, metres = str(contact).partition(":")
+    reach_m = {"all": (math.inf,), "none": (-1.0,)}.get(str(contact), floats_of(metres) if word == "range" else ())
+    if len(reach_m) != 1 or (word == "range" and reach_m[0] < 0):
         raise InputError(f"contact of trace robots must be all, none or range:METRES, got {shown(contact)}")
-    return reach
+    return reach_m[0]
 
 
 def place_robots(plan: TraceJob, n: int, starts: TeamStarts) -> np.ndarray:
@@ -128,10 +123,7 @@ def place_robots(plan: TraceJob, n: int, starts: TeamStarts) -> np.ndarray:
 
 
 def _pose(given):
-    try:
-        pose = tuple(float(value) for value in (given.split(",") if isinstance(given, str) else given))
-    except (TypeError, ValueError):
-        pose = ()
+    pose = floats_of(given)
     if len(pose) != 3:
         raise InputError(f"a start of team_starts must be x,y,heading_deg, got {shown(given)}")
     require_start_pose(pose)
@@ -147,8 +139,8 @@ def trace_team(
     tuning: Tuning | Mapping[str, Any] | None = None, noise: Noise | Mapping[str, Any] | None = None,
     cell_m: float = 0.1, max_steps: int | None = None, attributes: Sequence[str] = (),
     nodes: int | None = None, links: int | None = None, perception: str = AUTO,
-    engine: str = "auto", lanes: int | None = None, workers: int | None = None,
-    on_progress: Callable[[int], Any] | None = None, progress: bool | None = None,
+    workers: int | None = None, on_progress: Callable[[int], Any] | None = None,
+    progress: bool | None = None,
 ) -> TraceTeamResult:  # fmt: skip
     """Let several robots drive through a building at the same time, and merge their maps where they are in contact.
 
@@ -165,9 +157,8 @@ def trace_team(
       start: of the first robot, without given `team_starts`.
       world, robot, seed, tuning, noise, cell_m, max_steps, attributes, nodes, links: see `prepare_trace`.
       perception: see `prepare_trace`.
-      engine, lanes, workers, on_progress, progress: see `trace`.
+      workers, on_progress, progress: see `trace`.
     """
-    require_engine(engine, lanes)
     read_reach(contact)
     limits = limits if isinstance(limits, Limits) else as_record("limits", limits or {}, TeamLimits)
     plan = prepare_team(
@@ -175,7 +166,7 @@ def trace_team(
         max_steps=max_steps, attributes=attributes, nodes=nodes, links=links, perception=perception,
     )  # fmt: skip
     with progress_bar(progress, plan.runs, "robots", on_progress) as moved:
-        logs, costs = run_robots(plan, engine=engine, lanes=lanes, workers=workers, on_progress=moved)
+        logs, costs = run_robots(plan, workers=workers, on_progress=moved)
     return merge_team(plan, logs, contact, limits, costs)
 
 
