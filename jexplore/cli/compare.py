@@ -9,14 +9,10 @@ from typing import TYPE_CHECKING, Any
 from jexplore.cli.options import (
     DEFAULT_STRATEGIES,
     EngineOptions,
-    IntegerList,
-    MetricNames,
-    OwnNames,
     ReportOptions,
     ResumeOptions,
     SceneOptions,
     TrustOptions,
-    TunedFile,
     default_worlds,
     fields_of,
     is_small,
@@ -46,23 +42,23 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOp
     report.html. Finished episodes are stored on the way: --resume continues a run that was ended in any way.
     """
 
-    worlds: OwnNames = None
+    worlds: tuple[str, ...] | None = None
     """Run in these worlds: names of generators such as cave#3, or map files; see `jexplore worlds` (default: cave
     office hospital)."""
-    strategies: OwnNames = None
+    strategies: tuple[str, ...] | None = None
     """Compare these strategies, the others with the first; see `jexplore strategies` (default: closest closest+recheck
     random)."""
     episodes: int = dataclasses.field(default_factory=default_episodes)
     """Number of episodes of each strategy in each world."""
     seed: int = 0
     """Draw starts and all that is random from this seed."""
-    robots: IntegerList = None
+    robots: tuple[int, ...] | None = None
     """Explore with teams of these sizes, up to 16 robots; the others are compared with the first. Paths are then times
     on the team's clock."""
-    coordination: OwnNames = None
+    coordination: tuple[str, ...] | None = None
     """Have teams choose targets in these ways: independent, greedy, hungarian, minpos, voronoi, segments, or a function
     of yours such as mine:apart (default: independent)."""
-    metric: MetricNames = None
+    metric: tuple[str, ...] | None = None
     """Add columns of your own: functions of an episode in a module here or installed, such as mine:crowding;
     name=mine:crowding names the column."""
     league: bool = False
@@ -71,7 +67,7 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOp
     instead of the pictures of single worlds."""
     league_seeds: int = 8
     """Number of worlds of each kind for the league, #0 and on."""
-    tuned: TunedFile = None
+    tuned: str | None = None
     """Give strategies the settings that `jexplore tune` wrote into this file; shipped: the file that comes with the
     package."""
     bounds: bool = False

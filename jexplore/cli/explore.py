@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 
-from jexplore.cli.options import OneStrategy, OneWorld, ReportOptions, SceneOptions, fields_of
+from jexplore.cli.options import ReportOptions, SceneOptions, fields_of
 from jexplore.cli.output.console import COMPILING, Out, note_if_slow, progress_of
 
 
@@ -15,9 +15,9 @@ class Explore(ReportOptions, SceneOptions):
     end, for ROS's map_server), report.html and run.json. The episode is that of a comparison with the same options.
     """
 
-    world: OneWorld = "cave"
+    world: str = "cave"
     """Explore this world: a generator's name such as cave#3, or a map file; see `jexplore worlds`."""
-    strategy: OneStrategy = "closest+recheck"
+    strategy: str = "closest+recheck"
     """Explore by this strategy; see `jexplore strategies`."""
     seed: int = 0
     """Draw the start and all that is random from this seed."""
@@ -25,7 +25,7 @@ class Explore(ReportOptions, SceneOptions):
     """Run the episode of this number, from 0, of a comparison with the same options."""
     robots: int | None = None
     """Explore with a team of this size, up to 16 robots."""
-    coordination: OneStrategy = "independent"
+    coordination: str = "independent"
     """Have the team choose targets in this way: see compare."""
     frames: int = 300
     """Most frames of the animation, evenly spaced."""

@@ -4,29 +4,27 @@ import dataclasses
 import functools
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-import tyro
+from tyro.conf import Positional
 
-from jexplore.cli.options import OutOptions
+from jexplore.cli.options import CellOptions, OutOptions
 from jexplore.cli.output.console import Out, note_if_slow, working
 from jexplore.cli.output.terminal import show_line, show_table
 from jexplore.config import InputError, require_number
 
 
 @dataclasses.dataclass(frozen=True)
-class Worlds(OutOptions):
+class Worlds(OutOptions, CellOptions):
     """List the built-in worlds, or measure and picture some.
 
     Without names, --geometry and --out, it lists the generators and what they take. Otherwise it prints a table of the
     worlds named, by default of every generator, and writes worlds.png.
     """
 
-    worlds: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="[NAME ...]")] = ()
+    worlds: Positional[tuple[str, ...]] = ()
     """Measure these worlds: generators such as cave#3, or map files: map.yaml (ROS), map.png@16x16 (metres),
     map.png@0.05 (metres a pixel), plan.json (HouseExpo), scans.log (CARMEN), run.bag (ROS)."""
-    cell_m: float = 0.1
-    """Make the edge of a cell this long, in metres."""
     geometry: bool = False
     """Also measure rooms, openings, corridors, ways round and furniture; rooms that are not known are found first."""
     clearance_m: float = 0.30
@@ -115,16 +113,14 @@ class LeagueCommand:
     worlds, starts, settings and version, and writes a file for each of its strategies that is not entered yet.
     """
 
-    action: Annotated[tyro.conf.Positional[Literal["show", "submit"]], tyro.conf.arg(metavar="[show | submit]")] = (
-        "show"
-    )
+    action: Positional[Literal["show", "submit"]] = "show"
     """Show the standings, or submit a run."""
-    run: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[RUN]")] = None
+    run: Positional[Path | None] = None
     """Folder of results to submit."""
     name: str = "exploration-240"
     """Name of the league."""
-    entries: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: leagues/NAME)")] = None
-    """Folder of the entries."""
+    entries: Path | None = None
+    """Folder of the entries; by default leagues/NAME."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""

@@ -3,9 +3,8 @@
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import Annotated
 
-import tyro
+from tyro.conf import Positional
 
 from jexplore.cli.compare import FINISHING, finish_comparison, run_with_bar, show_finished
 from jexplore.cli.options import EngineOptions, ResumeOptions, TimedOptions, fields_of, is_small
@@ -20,9 +19,9 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
     and run.json.
     """
 
-    paper: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[PAPER]")] = "holz2010"
+    paper: Positional[str] = "holz2010"
     """Reproduce this paper: holz2010 (Holz, Basilico, Amigoni, Behnke 2010)."""
-    maps: Annotated[str | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
+    maps: str | None = None
     """Read the paper's maps from this folder: stage/cave_filled.png, avz/avz5floor_open.yaml,
     stage/hospital_section.png. By default built-in counterparts stand in for them."""
     episodes: int = dataclasses.field(default_factory=lambda: 5 if is_small() else 100)
@@ -30,8 +29,6 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
     reported alone."""
     seed: int = 0
     """Draw starts and all that is random from this seed."""
-    cell_m: float = 0.1
-    """Make the edge of a cell this long, in metres."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""

@@ -4,9 +4,9 @@ import dataclasses
 import os
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import tyro
+from tyro.conf import Positional
 
 from jexplore.cli.compare import FINISHING
 from jexplore.cli.options import EngineOptions, ReportOptions, ResumeOptions, TrustOptions, fields_of
@@ -17,7 +17,6 @@ from jexplore.config import InputError
 if TYPE_CHECKING:
     from jexplore.studies.sweeps.run import SweepResult
 
-Folders = Annotated[tuple[str, ...], tyro.conf.arg(metavar="DIR [DIR ...]", help_behavior_hint="(required)")]
 PRINTED_ROWS = 24  # of the summary
 REPORTED_ROWS = 200  # of the summary, on the page
 
@@ -32,12 +31,12 @@ class SweepCommand(EngineOptions, ReportOptions, ResumeOptions, TrustOptions):
     run.json and sweep.png. Finished units are stored on the way: --resume continues a run that was ended in any way.
     """
 
-    spec: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SPEC.yaml", help_behavior_hint="(required)")] = ""
+    spec: Positional[str] = ""
     """File with the varied settings."""
     dry_run: bool = False
     """Only say how much work it is: episodes, units, compiled programs."""
-    shard: Annotated[str | None, tyro.conf.arg(metavar="I/N", help_behavior_hint="")] = None
-    """Make only part I of N (1/4 to 4/4), each in a folder of its own; `jexplore merge` puts the parts together."""
+    shard: str | None = None
+    """Make only part I/N (1/4 to 4/4), each in a folder of its own; `jexplore merge` puts the parts together."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
@@ -142,7 +141,7 @@ class Merge(ReportOptions, TrustOptions):
     Writes what the sweep as a whole would have written.
     """
 
-    parts: tyro.conf.Positional[Folders] = ()
+    parts: Positional[tuple[str, ...]] = ()
     """Folders of all the parts."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:

@@ -3,12 +3,12 @@
 import dataclasses
 from collections.abc import Sequence
 
-from jexplore.cli.options import OutOptions, OwnModel, OwnNames, ResumeOptions, RobotOptions, fields_of
+from jexplore.cli.options import OutOptions, ResumeOptions, RobotOptions, WorkerOptions, fields_of
 from jexplore.cli.output.console import Out, note_if_slow, working
 
 
 @dataclasses.dataclass(frozen=True)
-class Train(ResumeOptions, RobotOptions):
+class Train(WorkerOptions, ResumeOptions, RobotOptions):
     """Train a strategy that scores frontier clusters, and write its model.
 
     Prints the checks and writes model.msgpack, model.json, curve.parquet, curve.png and run.json. The model is a
@@ -20,11 +20,11 @@ class Train(ResumeOptions, RobotOptions):
     """Train by evolution strategies (es) or proximal policy optimisation (ppo)."""
     network: str = "linear"
     """Train a weighted sum of the features (linear) or a small network with attention over the clusters (attention)."""
-    model: OwnModel = None
-    """Begin at this model; a linear one for any network, another for its own."""
-    worlds: OwnNames = None
+    model: str | None = None
+    """Begin at this model instead of closest; a linear one for any network, another for its own."""
+    worlds: tuple[str, ...] | None = None
     """Train in these worlds (default: eight of each kind of generator, #1000 to #1007)."""
-    validation: OwnNames = None
+    validation: tuple[str, ...] | None = None
     """Watch on these worlds (default: four of each kind, #2000 to #2003)."""
     starts: int = 1
     """Number of starts in each."""
@@ -41,10 +41,6 @@ class Train(ResumeOptions, RobotOptions):
     """Make this small: a column of the table of episodes such as path_m_at_95, area_m or time_s; for ppo path_m."""
     seed: int = 0
     """Draw all that is random from this seed."""
-    cell_m: float = 0.1
-    """Make the edge of a cell this long, in metres."""
-    workers: int | None = None
-    """Number of cores; by default all that this process may use."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
@@ -105,7 +101,7 @@ class Train(ResumeOptions, RobotOptions):
 
 
 @dataclasses.dataclass(frozen=True)
-class Tune(OutOptions, RobotOptions):
+class Tune(WorkerOptions, OutOptions, RobotOptions):
     """Choose settings of strategies by one budget for all: the same number of trials in the same worlds.
 
     Settings are drawn at random within their bounds. All trials run in few worlds, the better half of them in twice as
@@ -113,7 +109,7 @@ class Tune(OutOptions, RobotOptions):
     `jexplore compare`, trials.parquet and run.json.
     """
 
-    strategies: OwnNames = None
+    strategies: tuple[str, ...] | None = None
     """Tune these strategies; settings that a name gives stay (default: the league's that have settings)."""
     trials: int = 16
     """Number of settings that are drawn for each strategy, besides its defaults."""
@@ -123,10 +119,6 @@ class Tune(OutOptions, RobotOptions):
     """Make this small: a column of the table of episodes such as path_m_at_95, area_m or time_s."""
     seed: int = 0
     """Draw settings, starts and all that is random from this seed."""
-    cell_m: float = 0.1
-    """Make the edge of a cell this long, in metres; above 0.2 m without furnished worlds."""
-    workers: int | None = None
-    """Number of cores; by default all that this process may use."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""

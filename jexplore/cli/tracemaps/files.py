@@ -4,15 +4,10 @@ import contextlib
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated
-
-import tyro
 
 from jexplore.cli.output.console import working
 from jexplore.config import InputError
 
-Files = Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE [FILE ...]", help_behavior_hint="(required)")]
-MapNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")]
 TRACED = "btm"  # what every run calls its map
 
 

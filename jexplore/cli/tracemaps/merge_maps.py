@@ -3,13 +3,12 @@
 import collections
 import dataclasses
 from collections.abc import Sequence
-from typing import Annotated
 
-import tyro
+from tyro.conf import Positional
 
 from jexplore.cli.output.console import say
 from jexplore.cli.output.terminal import show_line, show_table
-from jexplore.cli.tracemaps.files import Files, MapNames, comparing, file_out, names_of
+from jexplore.cli.tracemaps.files import comparing, file_out, names_of
 from jexplore.config import InputError
 from jexplore.report.tables import aligned_table
 from jexplore.tracemap.merging.limits import Limits
@@ -25,11 +24,11 @@ class MergeMaps:
     one way, says so, writes nothing and ends with status 1.
     """
 
-    maps: tyro.conf.Positional[Files] = ()
+    maps: Positional[tuple[str, ...]] = ()
     """Files of the maps, such as btm.json. The result lies in the frame of the first."""
-    names: MapNames = ()
+    names: tuple[str, ...] = ()
     """Names of the maps in the output; by default those of their files, btm.json by its folder."""
-    out: Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    out: str | None = None
     """Write the map into this file; by default it is not written."""
     overwrite: bool = False
     """Replace an existing file."""

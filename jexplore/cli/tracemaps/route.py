@@ -14,11 +14,6 @@ from jexplore.config import InputError
 
 NO_ROUTE = 1  # exit status
 
-File = Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(required)")]
-Folder = Annotated[str | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
-Goal = Annotated[str | None, tyro.conf.arg(metavar="PLACE", help_behavior_hint="(required)")]
-Start = Annotated[str | None, tyro.conf.arg(name="from", metavar="PLACE", help_behavior_hint="")]
-
 
 @dataclasses.dataclass(frozen=True)
 class RouteCommand:
@@ -30,17 +25,17 @@ class RouteCommand:
     writes route.json, route.png and run.json, and with --drive btm.json, the map with what was found.
     """
 
-    map: File = None
+    map: str | None = None
     """Go over this map, the btm.json of `jexplore trace`."""
-    robot: Annotated[str, tyro.conf.arg(metavar="ROBOT")] = "kamui"
+    robot: str = "kamui"
     """Go with this robot: kamui (a crawler) or wheeled; with other measures kamui:width_m=0.6,max_slope_deg=8."""
-    from_: Start = None
+    from_: Annotated[str | None, tyro.conf.arg(name="from")] = None
     """Begin at the node of this id, or at the one that is nearest to X,Y, in metres; by default at the map's first."""
-    to: Goal = None
+    to: str | None = None
     """Go to a node, named alike, or to the nearest link that is un-searched: unsearched."""
     known_only: bool = False
     """Refuse searched links of which the map does not have width, step, inclination and roll."""
-    drive: Annotated[str | None, tyro.conf.arg(metavar="WORLD", help_behavior_hint="")] = None
+    drive: str | None = None
     """Let the robot follow the way to its last node in this building, that of the map: course:obstacle=none."""
     noise_m: float = 0.01
     """Give its scanners' ranges this standard deviation, in metres."""
@@ -48,7 +43,7 @@ class RouteCommand:
     """Draw the noise from this seed."""
     within_m: float = 2.0
     """Take a node for X,Y that lies no farther from it than this, in metres."""
-    out: Folder = None
+    out: str | None = None
     """Write into this folder; by default nothing is written."""
     overwrite: bool = False
     """Replace the run that the folder holds."""

@@ -2,12 +2,11 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Annotated
 
-import tyro
+from tyro.conf import Positional
 
 from jexplore.cli.output.terminal import show_line, show_table
-from jexplore.cli.tracemaps.files import Files, MapNames, comparing, file_out, names_of
+from jexplore.cli.tracemaps.files import comparing, file_out, names_of
 from jexplore.config import InputError
 from jexplore.report.tables import aligned_table
 
@@ -20,11 +19,11 @@ class Station:
     without a network.
     """
 
-    maps: tyro.conf.Positional[Files] = ()
+    maps: Positional[tuple[str, ...]] = ()
     """Files of the maps, such as btm.json. The global map lies in the frame of the first."""
-    names: MapNames = ()
+    names: tuple[str, ...] = ()
     """Call the maps so; by default by their files, btm.json by its folder."""
-    out: Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    out: str | None = None
     """Write the page into this file, such as page.html."""
     overwrite: bool = False
     """Replace an existing file."""

@@ -5,20 +5,9 @@ import functools
 import math
 import sys
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-import tyro
-
-from jexplore.cli.options import (
-    ContactText,
-    EngineName,
-    Number,
-    OneWorld,
-    ResumeOptions,
-    StartsText,
-    fields_of,
-    given_of,
-)
+from jexplore.cli.options import CellOptions, EngineOptions, ResumeOptions, fields_of, given_of
 from jexplore.cli.output.console import Out, say, working
 from jexplore.cli.tracemaps.team import trace_robots
 from jexplore.config import InputError
@@ -30,42 +19,33 @@ SAME_WAY_M = 0.01  # two ways no farther apart than this are one
 
 
 @dataclasses.dataclass(frozen=True)
-class Trace(ResumeOptions):
+class Trace(EngineOptions, ResumeOptions, CellOptions):
     """Let a robot drive through a building and write its Behavioral Trace Map.
 
     Prints the node and link tables of run 0 and how many runs made the same map. Writes btm.json, btm.png,
     runs.parquet and run.json.
     """
 
-    world: OneWorld = "course"
+    world: str = "course"
     """Drive through this course, such as course#3 or course:obstacle=stairs, or any world; see `jexplore worlds`."""
-    robot: Annotated[str, tyro.conf.arg(metavar="ROBOT")] = "kamui"
+    robot: str = "kamui"
     """Drive this robot: kamui (a crawler) or wheeled; with other measures kamui:width_m=0.6,max_slope_deg=8."""
     runs: int | None = None
     """Number of runs, of every setting if some are swept; by default one a start."""
-    starts: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None
+    starts: int | None = None
     """Begin run i at draw i modulo N of the seed; by default all runs begin at one place."""
-    noise_m: Annotated[float | None, tyro.conf.arg(metavar="M", help_behavior_hint="")] = None
+    noise_m: float | None = None
     """Give the scanners' ranges this standard deviation, in metres, as --noise.range-m does."""
-    sweep: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUES [...]", help_behavior_hint="")] = ()
+    sweep: tuple[str, ...] = ()
     """Vary these thresholds, all in one batch: votes=1,3,5 (a list), circle=1.1:2.0 (a range), noise.range_m=0,0.03, or
     other numbers of the robot, sensing.every_m=0.1,0.2. Lists make every combination; with a range, --settings are
     drawn by Latin hypercube."""
     settings: int = 100
     """Number of settings drawn in a sweep over ranges."""
-    start: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y DEG", help_behavior_hint="")] = None
-    """Start here, in metres and degrees (default: the world's own start)."""
+    start: tuple[float, float, float] | None = None
+    """Start at this x, y, in metres, and heading, in degrees (default: the world's own start)."""
     seed: int = 0
     """Draw the noise from this seed."""
-    engine: EngineName = "auto"
-    """Make runs on the CPU's cores (auto), or on a GPU if available (jax). The results are equal but for
-    rounding."""
-    lanes: int | None = None
-    """With --engine jax on a GPU, make this number of runs at a time; by default as many as its memory holds."""
-    workers: int | None = None
-    """Make runs on this number of cores, one each; by default on all that this process may use."""
-    cell_m: float = 0.1
-    """Make the edge of a cell this long, in metres."""
     max_steps: int | None = None
     """End a run as STEP_LIMIT after this many steps of 0.1 s; by default 6000, more in a large building."""
     nodes: int | None = None
@@ -75,7 +55,7 @@ class Trace(ResumeOptions):
     perception: Literal["auto", "triangles", "map"] = "auto"
     """Perceive by triangles of single scans, as in the paper, or by a local map, on level ground (auto: triangles on
     courses and uneven ground)."""
-    attribute: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE@X,Y [...]", help_behavior_hint="")] = ()
+    attribute: tuple[str, ...] = ()
     """Give the node that is nearest to a place in the building, in metres, an attribute: victim=true@12.5,4,
     radio_dbm=-61@3,8."""
     corrected: bool = False
@@ -83,11 +63,11 @@ class Trace(ResumeOptions):
     met again is spread over the links (frame map)."""
     animate: bool = False
     """Also write btm.html, one file that replays without a network what the operator sees of run 0."""
-    robots: Number = None
+    robots: int | None = None
     """Let this number of robots, 1 to 16, drive at the same time, and merge their maps whenever two are in contact."""
-    contact: ContactText = "all"
+    contact: str = "all"
     """With --robots: which of them exchange maps: all, none or, within M metres, range:M."""
-    team_starts: StartsText = ("apart",)
+    team_starts: tuple[str, ...] = ("apart",)
     """With --robots: begin far from each other (apart), next to the first (together), or at X,Y,HEADING_DEG each."""
     limits: TeamLimits = dataclasses.field(default_factory=TeamLimits)
     tuning: Tuning = dataclasses.field(default_factory=Tuning)
