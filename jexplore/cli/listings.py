@@ -48,7 +48,7 @@ class Worlds(OutOptions, CellOptions):
             )
             return None
         from jexplore.engine.backend import use_compilation_cache
-        from jexplore.report import plot
+        from jexplore.report.plots import maps
         from jexplore.report.tables import aligned_table
         from jexplore.studies.checks import ready_worlds
         from jexplore.studies.geometry import geometry, geometry_table
@@ -79,7 +79,7 @@ class Worlds(OutOptions, CellOptions):
                         about["geometry"] = dataclasses.asdict(measured[-1])
                         on_progress(len(measured))
             record = out.record(arguments, self, worlds=described)
-            figure = functools.partial(plot.worlds_figure, [(world.name, world) for world in worlds])
+            figure = functools.partial(maps.worlds_figure, [(world.name, world) for world in worlds])
             left = ["world", "cells", "metres", "free m²", "rooms", "start"]
             text = aligned_table(left, rows, left=left)
             text += f"\n{geometry_table(measured)}" if measured else ""
