@@ -233,7 +233,7 @@ def run_training(
     state: Any = trainer.begin(plan.begins.weights, plan.settings)
     tables, ended, kept = [], "rounds", [state.weights]  # the last at every check
     while ledger is not None and len(tables) in ledger.done:
-        table = ledger.get(len(tables))
+        table = ledger.done[len(tables)]
         tables.append(table[list(CURVE_COLUMNS)])
         state = _unpacked(state, table[STATE].iloc[-1])
         kept.append(state.weights)
