@@ -33,8 +33,6 @@ class Train(WorkerOptions, ResumeOptions, RobotOptions):
     check_every: int = 5
     """Rounds between checks on the validation worlds, the last at the end; the best model by these checks is written.
     """
-    patience: int = 0
-    """End after this many checks without a better one; 0: never."""
     set: tuple[str, ...] = ()
     """Settings of the algorithm, such as pairs=8 episodes=20 sigma=0.1 rate=0.05 of es; an unknown one lists all."""
     measure: str = "path_m"
@@ -65,7 +63,7 @@ class Train(WorkerOptions, ResumeOptions, RobotOptions):
                 worlds,
                 watched,
                 settings,
-                **fields_of(self, "rounds check_every patience starts seed"),
+                **fields_of(self, "rounds check_every starts seed"),
                 model=model,
             )
             ledger = out.keep(training.training_inputs(plan), plan.units)

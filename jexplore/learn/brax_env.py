@@ -129,7 +129,7 @@ class Lanes(Env):
 
 
 def wrap_lanes(env: Env, episode_length: int, action_repeat: int, randomization_fn: Any) -> Wrapper:
-    """Count an environment's steps: `wrap_env_fn` of `brax.training`, whose own goes back to the first start for ever."""
+    """Count steps: `wrap_env_fn` of `brax.training`, whose own wrapper goes back to the first start for ever."""
     del randomization_fn
     return EpisodeWrapper(env, episode_length, action_repeat)
 
