@@ -24,9 +24,8 @@ from jexplore.cli.reproduce import Reproduce
 from jexplore.cli.segment import Segment
 from jexplore.cli.slam import Slam
 from jexplore.cli.sweep import Merge, SweepCommand
-from jexplore.cli.tracemaps.merge_maps import MergeMaps
+from jexplore.cli.tracemaps.joining import MergeMaps, Station
 from jexplore.cli.tracemaps.route import RouteCommand
-from jexplore.cli.tracemaps.station import Station
 from jexplore.cli.tracemaps.trace import Trace
 from jexplore.cli.train import Train, Tune
 from jexplore.config import InputError, __version__
