@@ -22,6 +22,7 @@ from jexplore.bench.tables import markdown, plus_minus
 from jexplore.bench.timing import interleaved, mean_and_se, median_and_min, one_core, ratio, surroundings
 from jexplore.config import ENGINES, InputError, require_whole
 from jexplore.engine.backend import start_backend
+from jexplore.exploration.batch import Job
 from jexplore.exploration.results import path_m
 from jexplore.exploration.state import Outcome
 from jexplore.grid import is_known
@@ -77,7 +78,7 @@ def beside(world, strategy, yardstick, n, repeat):
     def theirs():
         return [explorer.run(*start, recheck=strategy.recheck) for start in zip(rows, cols, headings)]
 
-    tasks = {engine: functools.partial(run_once, world, strategy, starts, engine) for engine in ENGINES}
+    tasks = {engine: functools.partial(run_once, Job(world, strategy, starts), engine) for engine in ENGINES}
     tasks |= {"yardstick": theirs}
     for task in tasks.values():
         task()

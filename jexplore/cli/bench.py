@@ -36,10 +36,10 @@ class Bench(OutOptions):
         from jexplore import bench
         from jexplore.bench import tables
 
-        with Out(self, "bench") as out:
+        with Out(self, arguments) as out:
             plan = bench.prepare_bench(**fields_of(self, "worlds strategies engine batch_sizes repeat quick"))
-            with progress_of(len(plan.worlds) * len(plan.strategies), "measurements") as progress:
-                progress.update(0)
-                report = bench.run_bench(plan, cache=self.cache, on_progress=progress.update)
-            record = out.record(arguments, self, measured=report["settings"])
+            with progress_of(len(plan.jobs), "measurements") as update:
+                update(0)
+                report = bench.run_bench(plan, cache=self.cache, on_progress=update)
+            record = out.record(measured=report["settings"])
             return out.finish(record, {"bench.json": report}, tables.bench_tables(report))

@@ -37,11 +37,10 @@ class Bound(WorkerOptions, ResumeOptions, RobotOptions):
         """Run the command and return the exit status, None for 0."""
         from jexplore.report import store
         from jexplore.studies.bounds import bound
-        from jexplore.studies.results.provenance import describe_world
 
         if not self.worlds:
             raise InputError("expected worlds: jexplore bound cave maze#3")
-        with Out(self, "bound") as out:
+        with Out(self, arguments) as out:
             with note_if_slow("jexplore: loading worlds"):
                 tasks = bound.prepare_bounds(
                     self.worlds, **fields_of(self, "starts seed cell_m start seconds max_floods lidar rules")
@@ -54,7 +53,7 @@ class Bound(WorkerOptions, ResumeOptions, RobotOptions):
             with working(len(tasks), "starts") as on_progress:
                 found = bound.run_bounds(tasks, ledger=ledger, workers=self.workers, on_progress=on_progress)
             entries = {"interrupted": found.interrupted, "settings": found.settings}
-            record = out.record(arguments, self, **entries, worlds=[describe_world(world) for world in found.worlds])
+            record = out.record(**entries, worlds=found.worlds)
             files = {"bounds.parquet": found.table, "walks.parquet": found.walks}
             pictures = {"bounds.png": found.figure}
             return out.finish(record, files, found.to_markdown(), pictures, interrupted=found.interrupted > 0)

@@ -95,7 +95,7 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOp
 
             strategies = with_settings(strategies, self.tuned)
         self = dataclasses.replace(self, worlds=worlds, strategies=strategies)
-        with Out(self, "compare") as out:
+        with Out(self, arguments) as out:
             jobs = prepare_jobs(
                 worlds,
                 strategies,
@@ -110,7 +110,7 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOp
                 return show_finished(out, _tables, figures_of, reported)
             with note_if_slow(FINISHING):
                 entries = {"standings": found.standings.to_dict("records")} if self.league else {}
-                record = functools.partial(out.record, arguments, self, **entries)
+                record = functools.partial(out.record, **entries)
                 text = found.league_text() if self.league else found.to_markdown()
             found, files, is_whole = self._beside(found, tasks, out)
             text += _more_tables(found.episodes, self.league)

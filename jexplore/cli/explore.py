@@ -1,6 +1,7 @@
 """The command `jexplore explore`."""
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 
 from jexplore.cli.options import ReportOptions, SceneOptions, fields_of
@@ -34,9 +35,8 @@ class Explore(ReportOptions, SceneOptions):
         """Run the command and return the exit status, None for 0."""
         from jexplore.studies.explore import prepare_job, run_job
         from jexplore.studies.replays import why_no_replay
-        from jexplore.studies.results.provenance import describe_world
 
-        with Out(self, "explore") as out:
+        with Out(self, arguments) as out:
             job = prepare_job(
                 self.world,
                 self.strategy,
@@ -47,7 +47,7 @@ class Explore(ReportOptions, SceneOptions):
                 found = run_job(job)
             measures = {"world": found.world.name, "strategy": found.strategy, **found.measures}
             times = {"compile_s": found.compile_s, "run_s": found.run_s}
-            record = out.record(arguments, self, result=measures, worlds=[describe_world(found.world)], **times)
+            record = out.record(result=measures, worlds=[found.world], **times)
             lines = [f"{name:<18} {_text(value)}" for name, value in measures.items()]
             if not found.can_be_replayed:
                 lines.append(f"warning: {why_no_replay(found.rules)}: no animation")
@@ -61,8 +61,9 @@ class Explore(ReportOptions, SceneOptions):
         from jexplore.worlds.readers.ros import write_ros
 
         def animation(path):
-            with progress_of(min(found.measures["steps"] + 1, self.frames), "frames") as progress:
-                found.save_gif(path, max_frames=self.frames, on_progress=progress.step)
+            with progress_of(min(found.measures["steps"] + 1, self.frames), "frames") as update:
+                drawn = itertools.count(1)
+                found.save_gif(path, max_frames=self.frames, on_progress=lambda _: update(next(drawn)))
 
         def page(path):
             replays = [found.replay] if found.can_be_replayed else []

@@ -52,33 +52,29 @@ class Worlds(OutOptions, CellOptions):
         from jexplore.report.tables import aligned_table
         from jexplore.studies.checks import ready_worlds
         from jexplore.studies.geometry import geometry, geometry_table
-        from jexplore.studies.results.provenance import describe_world
         from jexplore.worlds.regions import warn_of_floor
         from jexplore.worlds.starts import start_region
 
-        with Out(self, "worlds") as out:
+        with Out(self, arguments) as out:
             require_number("clearance_m", self.clearance_m, high=100)
             with note_if_slow("jexplore: loading worlds"):
                 worlds = ready_worlds(self.worlds or tuple(GENERATORS), self.cell_m)
             for world in worlds:
                 warn_of_floor(world, start_region(world, self.clearance_m), self.clearance_m, drawn=True)
-            described = [describe_world(world) for world in worlds]
-            rows = []
-            for world, about in zip(worlds, described):
+            record, rows, measured = out.record(worlds=worlds), [], []
+            for world, about in zip(worlds, record["worlds"]):
                 height, width = world.shape
                 start = "-" if world.start is None else "{},{},{}".format(*world.start)
                 size = f"{width * world.cell_m:.1f} x {height * world.cell_m:.1f}"
                 n_rooms = "-" if about["rooms"] is None else str(about["rooms"])
                 rows.append((world.name, f"{width} x {height}", size, f"{world.free_m2:.1f}", n_rooms, start))
-            measured = []
             if self.geometry:
                 use_compilation_cache()
                 with working(len(worlds), "worlds") as on_progress:
-                    for world, about in zip(worlds, described):
+                    for world, about in zip(worlds, record["worlds"]):
                         measured.append(geometry(world, clearance_m=self.clearance_m))
                         about["geometry"] = dataclasses.asdict(measured[-1])
                         on_progress(len(measured))
-            record = out.record(arguments, self, worlds=described)
             figure = functools.partial(maps.worlds_figure, [(world.name, world) for world in worlds])
             left = ["world", "cells", "metres", "free m²", "rooms", "start"]
             text = aligned_table(left, rows, left=left)

@@ -34,7 +34,7 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
         """Run the command and return the exit status, None for 0."""
         from jexplore.studies import reproduction
 
-        with Out(self, "reproduce") as out:
+        with Out(self, arguments) as out:
             settings = fields_of(self, "maps episodes seed cell_m lidar rules robot")
             jobs = reproduction.prepare_paper(self.paper, **settings)
             made = run_with_bar(self, jobs, out)
@@ -44,5 +44,5 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
                 found = reproduction.reproduction_of(self.paper, self.maps, made)
                 tables, orderings = (table.to_dict("records") for table in (found.tables, found.orderings))
                 entries = {"notes": found.notes, "tables": tables, "orderings": orderings}
-                record = functools.partial(out.record, arguments, self, **entries)
+                record = functools.partial(out.record, **entries)
                 return finish_comparison(out, made, found.to_markdown(), {}, record)

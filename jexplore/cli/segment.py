@@ -56,14 +56,14 @@ class Segment(OutOptions):
         from jexplore.studies.room_variants import RoomSettings
         from jexplore.studies.segmentation import SHARES, segment_maps
 
-        with Out(self, "segment") as out:
+        with Out(self, arguments) as out:
             if not self.maps:
                 raise InputError("expected a map: map.png@0.05 (metres a pixel), map.yaml, or a generator: office#3")
             use_compilation_cache()
             with working(len(self.maps) * (1 + len(SHARES) * self.partial), "maps") as on_progress:
                 how = fields_of(self, " ".join(("truth partial cell_m seed", *RoomSettings._fields)))
                 found = segment_maps(self.maps, variants=self.variant, **how, on_progress=on_progress)
-            record = out.record(arguments, self, scores=found.scores.to_dict("records"))
+            record = out.record(scores=found.scores.to_dict("records"))
             figure = functools.partial(rooms_figure, found.pictures, found.scores)
             files = {"scores.parquet": found.scores, "segments.png": figure}
             text = found.to_markdown()

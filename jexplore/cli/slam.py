@@ -48,7 +48,7 @@ class Slam(OutOptions):
 
         if not self.log:
             raise InputError("expected a log: robot.log, robot.log.gz, run.bag")
-        with Out(self, "slam") as out:
+        with Out(self, arguments) as out:
             log = read_log(self.log, **fields_of(self, "max_range_m topic odometry_topic"))
             use_compilation_cache()
             with working(len(log.ranges), "scans") as on_progress:
@@ -61,7 +61,7 @@ class Slam(OutOptions):
             free, known = (np.asarray(mask) for mask in (is_free(drawn.grid, 0.25), is_known(drawn.grid)))
             occupancy = np.select([~known, free], [-1, 0], 100)
             errors = found.errors.to_dict("records")
-            record = out.record(arguments, self, errors=errors, ate_m=found.ate_m, loops=len(found.loops))
+            record = out.record(errors=errors, ate_m=found.ate_m, loops=len(found.loops))
             files = {
                 "trajectory.txt": found.trajectory(),
                 "map.yaml": lambda path: write_ros(occupancy, path, cell_m=drawn.cell_m, origin_m=drawn.origin_m),

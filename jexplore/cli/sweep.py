@@ -55,7 +55,7 @@ class SweepCommand(EngineOptions, ReportOptions, ResumeOptions, TrustOptions):
         if self.dry_run:
             print("\n".join(plans.summary_lines(plan, numbers)))
             return 0
-        with Out(self, "sweep") as out:
+        with Out(self, arguments) as out:
             ledger = out.keep(plan.asked(shard), lambda n: len(plan.after(n).units), shard)
             if ledger is None:
                 return _show_finished(out, plan if self.report else None)
@@ -64,7 +64,7 @@ class SweepCommand(EngineOptions, ReportOptions, ResumeOptions, TrustOptions):
             with working(total, "episodes") as on_progress:
                 found = run_sweep(plan, ledger=ledger, shard=shard, **how, on_progress=on_progress)
             with note_if_slow(FINISHING):
-                return _finish(out, found, arguments, self, plan)
+                return _finish(out, found, plan)
 
 
 def shard_of(text: str | None) -> tuple[int, int] | None:
@@ -100,32 +100,28 @@ def _pictures(found, record, plan):
     return pictures_of(found.figures(), record, lambda: [(heading, found.table(REPORTED_ROWS))], jobs, labels=labels)
 
 
-def _finish(out: Out, found: "SweepResult", arguments: Sequence[str], options: Any, plan: Any, **entries: Any) -> int:
+def _finish(out: Out, found: "SweepResult", plan: Any, **entries: Any) -> int:
     """Write, print and draw; return the exit status."""
     from jexplore.arrays.plain_yaml import dump
-    from jexplore.studies.results.provenance import describe_world, engine_of
     from jexplore.studies.sweeps.spec import plain_spec
 
     costs = found.costs
     ran = len(found.episodes) - found.resumed
     record = out.record(
-        arguments,
-        options,
         episodes_per_s=ran / costs.run_s if costs.run_s else None,
-        **fields_of(costs, "compile_s run_s"),
-        **engine_of(costs),
+        costs=costs,
         interrupted=found.missing,
         resumed=found.resumed,
         columns=found.columns,
         reference=found.reference,
-        worlds=[describe_world(plan.world(*key)) for key in plan.shapes],
+        worlds=[plan.world(*key) for key in plan.shapes],
         **entries,
     )
     spec = dump(plain_spec(found.spec))
     files = {"episodes.parquet": found.episodes, "summary.csv": found.summary, "asked.yaml": spec}
     text = found.to_markdown(PRINTED_ROWS)
     text += f"warning: {found.missing} episodes are missing\n" if found.missing else ""
-    pictures = _pictures(found, record, plan if options.report else None)
+    pictures = _pictures(found, record, plan if out.options.report else None)
     return out.finish(record, files, text, pictures, interrupted=found.missing > 0)
 
 
@@ -153,8 +149,8 @@ class Merge(ReportOptions, TrustOptions):
             part = next((part for part in self.parts if _real(part) == folder), None)
             if part is not None:
                 raise InputError(f"--out {self.out} must be a folder of its own, got that of the part {part}")
-        with Out(self, "sweep") as out:
+        with Out(self, arguments, "sweep") as out:
             with note_if_slow("jexplore: reading the parts"):
                 found, plan = merge(self.parts, trust=self.trust)
             out.asked, out.units = {"command": "sweep", **plan.asked()}, len(plan.units)
-            return _finish(out, found, arguments, self, plan, parts=self.parts)
+            return _finish(out, found, plan, parts=self.parts)

@@ -47,7 +47,7 @@ class Train(WorkerOptions, ResumeOptions, RobotOptions):
         from jexplore.learn.settings import parse_settings, require_rounds, trainer_settings
         from jexplore.policies.learned.model import load_model
 
-        with Out(self, "train") as out:
+        with Out(self, arguments) as out:
             settings = parse_settings(self.set)
             trainer_settings(self.algo, settings)  # before worlds are built, which takes seconds
             require_rounds(self.rounds, self.check_every)
@@ -71,31 +71,7 @@ class Train(WorkerOptions, ResumeOptions, RobotOptions):
                 return out.draw_missing()
             with working(plan.rounds, "rounds") as on_progress:
                 found = training.run_training(plan, ledger=ledger, workers=self.workers, on_progress=on_progress)
-            return self._finish(out, found, plan, arguments)
-
-    def _finish(self, out, found, plan, arguments):
-        from jexplore.policies.learned.model import write_page, write_weights
-        from jexplore.studies.results.provenance import describe_world
-
-        interrupted = found.ended == "interrupted"
-        command = ["jexplore", *arguments]
-        model = found.model._replace(made={"command": command, **found.model.made})
-        entries = {"ended": found.ended, "best": found.best, "interrupted": int(interrupted)}
-        worlds = [describe_world(world) for bank in (plan.training, plan.validation) for world in bank.worlds]
-        record = out.record(arguments, self, **entries, model=model.made, worlds=worlds)
-        files = {
-            "model.msgpack": lambda path: write_weights(path, model),
-            "model.json": lambda path: write_page(path, model),
-            "curve.parquet": found.curve,
-        }
-        lines = [
-            f"round {row['round']:>5}: {row['validation']:.3f} of closest+recheck on the validation worlds"
-            + ("  <- kept" if row["round"] == found.best else "")
-            for row in found.curve.dropna(subset=["validation"]).to_dict("records")
-        ]
-        if found.ended == "not finite":
-            lines.append("warning: the weights became no finite numbers; the best ones before are written")
-        return out.finish(record, files, "\n".join(lines), {"curve.png": found.figure}, interrupted=interrupted)
+            return _finish_training(out, found, plan)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,7 +100,7 @@ class Tune(WorkerOptions, OutOptions, RobotOptions):
         from jexplore.learn import bank, tuning
         from jexplore.studies.statistics.league import league_worlds
 
-        with Out(self, "tune") as out:
+        with Out(self, arguments) as out:
             names = tuning.ready_spaces(self.strategies)
             worlds = league_worlds(self.cell_m, self.world_seeds, tuning.FIRST_SEED)
             use_compilation_cache()
@@ -136,4 +112,27 @@ class Tune(WorkerOptions, OutOptions, RobotOptions):
                 searches = tuning.search(names, own, **how, on_progress=on_progress)
             page = {"command": ["jexplore", *arguments], "settings": tuning.chosen_settings(searches)}
             files = {"tuned.json": page, "trials.parquet": tuning.trials_table(searches)}
-            return out.finish(out.record(arguments, self, worlds=worlds), files, tuning.tuning_table(searches, worlds))
+            return out.finish(out.record(worlds=own.worlds), files, tuning.tuning_table(searches, worlds))
+
+
+def _finish_training(out, found, plan):
+    from jexplore.policies.learned.model import write_page, write_weights
+
+    interrupted = found.ended == "interrupted"
+    command = ["jexplore", *out.arguments]
+    model = found.model._replace(made={"command": command, **found.model.made})
+    entries = {"ended": found.ended, "best": found.best, "interrupted": int(interrupted)}
+    record = out.record(**entries, model=model.made, worlds=[*plan.training.worlds, *plan.validation.worlds])
+    files = {
+        "model.msgpack": lambda path: write_weights(path, model),
+        "model.json": lambda path: write_page(path, model),
+        "curve.parquet": found.curve,
+    }
+    lines = [
+        f"round {row['round']:>5}: {row['validation']:.3f} of closest+recheck on the validation worlds"
+        + ("  <- kept" if row["round"] == found.best else "")
+        for row in found.curve.dropna(subset=["validation"]).to_dict("records")
+    ]
+    if found.ended == "not finite":
+        lines.append("warning: the weights became no finite numbers; the best ones before are written")
+    return out.finish(record, files, "\n".join(lines), {"curve.png": found.figure}, interrupted=interrupted)

@@ -64,9 +64,9 @@ class RouteCommand:
         btm = read_btm(str(self.map))
         if self.out is None:
             return self._answered(btm)[0]
-        with Out(self, "route") as out:
+        with Out(self, arguments) as out:
             status, route, changed = self._answered(btm)
-            _write(out, self, arguments, btm, route, changed)
+            _write(out, self.drive is not None, btm, route, changed)
             return status
 
     def _answered(self, btm):
@@ -126,17 +126,17 @@ def _tell(btm, route) -> int:
     return 0 if route.is_found else NO_ROUTE
 
 
-def _write(out, options, arguments, btm, route, changed):
+def _write(out, has_driven, btm, route, changed):
     """Write the findings and draw them."""
     from jexplore.report import plot_traces, store
     from jexplore.tracemap import json_form
 
-    record = out.record(arguments, options, map=btm.attributes)
+    record = out.record(map=btm.attributes)
     found = {**store.jsonable(route), "is_found": route.is_found}
     for name in ("refused", "barriers"):
         found[name] = [{"id": own, "reasons": list(why)} for own, why in getattr(route, name)]
     files = {"route.json": found}
-    if options.drive is not None:
+    if has_driven:
         files["btm.json"] = json_form.to_json(changed)
     title = route.trouble or f"{route.robot}, node {route.start} to {route.end}, {route.length_m:.2f} m"
     figure = functools.partial(plot_traces.trace_figure, btm, None, title=title, route=route)

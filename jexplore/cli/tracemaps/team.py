@@ -1,7 +1,6 @@
 """Teams of robots of the command `jexplore trace`."""
 
 import collections
-from collections.abc import Sequence
 from typing import Any
 
 from jexplore.cli.options import fields_of
@@ -9,13 +8,12 @@ from jexplore.cli.output.console import Out, note_if_slow, working
 from jexplore.report.tables import aligned_table, number_text
 
 
-def trace_robots(out: Out, options: Any, arguments: Sequence[str]) -> int:
+def trace_robots(out: Out, options: Any) -> int:
     """Run a team of trace robots, and write their maps, the merged ones, tables, a picture and the station's page.
 
     `options` are those of `jexplore trace`.
     """
     from jexplore.engine.backend import use_compilation_cache
-    from jexplore.studies.results.provenance import describe_world, engine_of
     from jexplore.studies.traces.teams.clock import run_robots
     from jexplore.studies.traces.teams.team import merge_team, prepare_team, read_reach
     from jexplore.tracemap import json_form
@@ -33,14 +31,12 @@ def trace_robots(out: Out, options: Any, arguments: Sequence[str]) -> int:
     files = {f"{name}.json": json_form.to_json(btm) for name, btm in {"btm": found.map, **found.maps}.items()}
     files |= {"station.html": found.page(), "teams.parquet": found.table, "contacts.parquet": found.contacts}
     record = out.record(
-        *(arguments, options),
         groups=[
             {"robots": names, "outcome": merged.outcome.name, "apart": merged.left, "notes": merged.notes}
             for names, merged in found.groups.items()
         ],
-        worlds=[describe_world(plan.world)],
-        **{"compile_s": costs.compile_s, "run_s": costs.run_s},
-        **engine_of(costs),
+        worlds=[plan.world],
+        costs=costs,
     )
     return out.finish(record, files, summary(found), {"team.png": found.figure})
 

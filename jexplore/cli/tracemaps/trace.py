@@ -87,11 +87,11 @@ class Trace(EngineOptions, ResumeOptions, CellOptions):
             raise InputError(f"{given} goes with --robots")
         if self.noise_m is not None and self.noise.range_m not in (type(self)().noise.range_m, self.noise_m):
             raise InputError("--noise-m and --noise.range-m say the same: give one of them")
-        with Out(self, "trace") as out:
+        with Out(self, arguments) as out:
             if self.robots is not None:
                 for given in given_of(self, ["runs", "starts", "sweep", "settings", "corrected", "animate", "resume"]):
                     raise InputError(f"--robots takes no {given}: every robot makes one run")
-                return trace_robots(out, self, arguments)
+                return trace_robots(out, self)
             own = fields_of(
                 self, "robot runs starts seed tuning start sweep settings cell_m max_steps nodes links perception"
             )
@@ -105,12 +105,11 @@ class Trace(EngineOptions, ResumeOptions, CellOptions):
             ledger = out.keep(tracing.asked_of_runs(plan), len(tracing.run_blocks(plan)))
             if ledger is None:
                 return out.draw_missing()
-            return self._run(out, plan, ledger, arguments)
+            return self._run(out, plan, ledger)
 
-    def _run(self, out, plan, ledger, arguments):
+    def _run(self, out, plan, ledger):
         from jexplore.engine.backend import use_compilation_cache
         from jexplore.report import trace_tables
-        from jexplore.studies.results.provenance import describe_world, engine_of
         from jexplore.studies.traces import tracing
         from jexplore.tracemap.corrected import correct_map
 
@@ -122,10 +121,8 @@ class Trace(EngineOptions, ResumeOptions, CellOptions):
         runs_per_s = (len(found.table) - found.resumed) / costs.run_s if costs.run_s else None
         missing = plan.runs * plan.settings - len(found.table)
         record = out.record(
-            *(arguments, self),
             **{"runs_per_s": runs_per_s, "resumed": found.resumed, "interrupted": missing},
-            **{"worlds": [describe_world(plan.world)], "compile_s": costs.compile_s, "run_s": costs.run_s},
-            **engine_of(costs),
+            **{"worlds": [plan.world], "costs": costs},
         )
         first = correct_map(found.first) if self.corrected else found.first
         files = {"btm.json": to_json(first), "runs.parquet": found.table}
