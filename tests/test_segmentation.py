@@ -9,7 +9,7 @@ from ref.refusals import refused
 
 from jexplore.cli import main
 from jexplore.config import InputError
-from jexplore.report.plot_rooms import rooms_figure
+from jexplore.report.plots.maps import rooms_figure
 from jexplore.studies.room_variants import ROOM_VARIANTS
 from jexplore.studies.segmentation import SCORE_COLUMNS, segment_maps
 from jexplore.worlds.world import occupancy_to_world

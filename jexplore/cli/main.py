@@ -13,14 +13,13 @@ from collections.abc import Sequence
 
 from jexplore.cli.bench import Bench
 from jexplore.cli.bound import Bound
-from jexplore.cli.compare import Compare
+from jexplore.cli.compare import Compare, Reproduce
 from jexplore.cli.explore import Explore
 from jexplore.cli.listings import LeagueCommand, Strategies, Worlds
 from jexplore.cli.options import check_numbers, help_text, parse_options
 from jexplore.cli.output.console import INTERRUPTED, say
 from jexplore.cli.output.signals import Signals
 from jexplore.cli.output.terminal import plain_warnings
-from jexplore.cli.reproduce import Reproduce
 from jexplore.cli.segment import Segment
 from jexplore.cli.slam import Slam
 from jexplore.cli.sweep import Merge, SweepCommand

@@ -52,7 +52,7 @@ class Segment(OutOptions):
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
         from jexplore.engine.backend import use_compilation_cache
-        from jexplore.report.plot_rooms import rooms_figure
+        from jexplore.report.plots.maps import rooms_figure
         from jexplore.studies.room_variants import RoomSettings
         from jexplore.studies.segmentation import SHARES, segment_maps
 

@@ -9,14 +9,35 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 
-from jexplore.report.plot import PALETTE, PROGRESS, draw_map, draw_path, panel_in, scale_bar, ways_of, wrapped_text
+from jexplore.arrays.pictures import soft_colours
+from jexplore.report.plot import (
+    PALETTE,
+    PROGRESS,
+    draw_colours,
+    draw_map,
+    draw_path,
+    panel_in,
+    scale_bar,
+    ways_of,
+    wrapped_text,
+)
 from jexplore.report.plots.looks import legend_below
 
 LONG_IN = 3.0  # longer side of a map on a page, unless said otherwise
 MAX_WALKS = 12  # panels of a page of bounds
 BOUND_LABELS = ("start", "end", "cell that the lower bound is made of")
+ROOMS_IN = 4.2  # longer side of a map of rooms
+WALL, FLOOR, GRAPH = "#3c3c3c", "#ebebeb", "#5a5a5a"
+MARKS = (  # what, marker, colour, for the legend
+    ("critical", "o", "#d00000", "critical point"),
+    ("found", "o", "#007a33", "door found"),
+    ("missed", "s", "#d00000", "door missed"),
+    ("extra", "x", "#c04000", "rooms touch where no door is"),
+)
 P_FREE = 0.25  # greatest share of hits of a cell that is drawn as free
 
 
@@ -41,16 +62,20 @@ def maps_page(panels: Sequence[MapPanel], n_cols: int, long_in: float = LONG_IN)
     rows = [panels[i : i + n_cols] for i in range(0, len(panels), n_cols)]
     sizes = [panel_in([panel.shape for panel in row if panel], long_in) for row in rows]
     width, heights = max(size[0] for size in sizes), [size[1] for size in sizes]
-    size = (max(width * n_cols + 0.3, 3.6), sum(heights) + 0.9 * len(rows))
+    titles = [
+        "\n".join(wrapped_text(line, int(11 * width), max_lines=2) for line in panel.title.split("\n")) if panel else ""
+        for panel in panels
+    ]
+    lines = 1 + max(title.count("\n") for title in titles)
+    size = (max(width * n_cols + 0.3, 3.6), sum(heights) + (0.6 + 0.17 * lines) * len(rows))
     page = Figure(figsize=size, layout="constrained")
     grid = page.subplots(len(rows), n_cols, squeeze=False, gridspec_kw={"height_ratios": heights})
-    for ax, panel in itertools.zip_longest(grid.flat, panels):
+    for ax, panel, title in itertools.zip_longest(grid.flat, panels, titles):
         if not panel:
             ax.set_visible(False)
             continue
         panel.draw(ax)
         scale_bar(ax)
-        title = "\n".join(wrapped_text(line, int(11 * width), max_lines=2) for line in panel.title.split("\n"))
         ax.set_title(title, fontsize=9, parse_math=False)
     return page, grid
 
@@ -146,3 +171,48 @@ def _draw_scan_map(ax, drawn, way):
     state = np.select([hits + misses == 0, hits > P_FREE * (hits + misses)], [0, 2], 1)
     draw_map(ax, state, drawn.cell_m, drawn.origin_m)
     ax.plot(way[:, 0], way[:, 1], color=PALETTE[3], linewidth=0.6)
+
+
+def draw_segments(ax: Axes, picture: Any) -> AxesImage:
+    """Draw rooms in colours; rings at found doors, squares at missed ones, crosses at contacts without a door.
+
+    The paper's variants also show the Voronoi graph as thin lines, critical points as dots.
+    """
+    width = picture.label.shape[1]
+    count = int(picture.label.max()) + 1
+    rgb = np.where(picture.free[..., None], _bytes(FLOOR), _bytes(WALL))
+    if count:
+        colours = np.array(soft_colours(count), np.uint8)
+        rooms = picture.label >= 0
+        rgb[rooms] = colours[picture.label[rooms]]
+    rgb.reshape(-1, 3)[picture.lines] = _bytes(GRAPH)
+    artist = draw_colours(ax, rgb, picture.cell_m, interpolation="nearest")
+    for colour, label in ((WALL, "wall or unknown"), (FLOOR, "floor of no room")):
+        ax.plot([], [], "s", color=colour, label=label)
+    if len(picture.lines):
+        ax.plot([], [], color=GRAPH, label="Voronoi graph")
+    critical = np.stack([picture.critical // width, picture.critical % width], axis=-1)
+    for what, marker, colour, label in MARKS:
+        at, size = (critical, 2) if what == "critical" else (getattr(picture.doors, what), 6)
+        row, col = (at.T + 0.5) * picture.cell_m
+        style = {"color": colour, "markersize": size, "markerfacecolor": "none", "markeredgewidth": 1.3}
+        ax.plot(col, row, marker, linestyle="", label=label if len(at) else None, **style)
+    return artist
+
+
+def _bytes(colour):
+    return np.array([round(255 * value) for value in to_rgb(colour)], np.uint8)
+
+
+def rooms_figure(pictures: Sequence[Any], scores: Any) -> Figure:
+    """Draw pictures and their scores: a row for every map and known share, and a column for every variant."""
+    panels = []
+    for picture, (_, row) in zip(pictures, scores.iterrows()):
+        share = "" if picture.explored == 1 else f", {picture.explored:.0%} known"
+        doors = f"doors: {row['doors_missed']:.0f} missed, {row['doors_extra']:.0f} too many"
+        agreement = "" if np.isnan(row["mcc"]) else f", MCC {row['mcc']:.2f}\n{doors}"
+        title = f"{picture.name}{share}\n{picture.variant}: {int(row['rooms'])} rooms{agreement}"
+        panels.append(MapPanel(title, picture.label.shape, functools.partial(draw_segments, picture=picture)))
+    page, _ = maps_page(panels, len({picture.variant for picture in pictures}), ROOMS_IN)
+    legend_below(page)
+    return page
