@@ -33,10 +33,6 @@ if TYPE_CHECKING:
 FINISHING = "jexplore: computing statistics and drawing"
 
 
-def default_episodes() -> int:
-    return 5 if is_small() else 20
-
-
 @dataclasses.dataclass(frozen=True)
 class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOptions):
     """Compare strategies in worlds, all from the same starts.
@@ -51,7 +47,7 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOp
     strategies: tuple[str, ...] | None = None
     """Compare these strategies, the others with the first; see `jexplore strategies` (default: closest closest+recheck
     random)."""
-    episodes: int = dataclasses.field(default_factory=default_episodes)
+    episodes: int = dataclasses.field(default_factory=lambda: 5 if is_small() else 20)
     """Number of episodes of each strategy in each world."""
     seed: int = 0
     """Draw starts and all that is random from this seed."""
@@ -82,6 +78,7 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOp
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
         from jexplore.exploration.team.team import INDEPENDENT
+        from jexplore.studies.bounds.bound import bound_tasks
         from jexplore.studies.checks import prepare_jobs
         from jexplore.studies.results.saving import figures_of
         from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds
@@ -107,7 +104,9 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOp
                 **fields_of(self, "robots contact team_starts members"),
                 coordination=self.coordination or INDEPENDENT,
             )
-            tasks, reported = self._bound_tasks(jobs), jobs if self.report else None
+            pairs = [(job.world, tuple(start)) for job in jobs for start in job.starts.tolist()] if self.bounds else []
+            tasks = bound_tasks(pairs, self.lidar, self.rules, self.bound_seconds)
+            reported = jobs if self.report else None
             found = run_with_bar(self, jobs, out, tasks)
             if found is None:
                 return show_finished(out, _tables, figures_of, reported)
@@ -120,15 +119,6 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOp
             figures = figures_of(found, league=self.league)
             with note_if_slow(FINISHING):
                 return finish_comparison(out, found, text, figures, record, reported, files, is_whole=is_whole)
-
-    def _bound_tasks(self, jobs):
-        """Return the starts to be bounded, if bounds are asked for."""
-        from jexplore.studies.bounds.bound import bound_tasks
-
-        if not self.bounds:
-            return []
-        pairs = [(job.world, (int(r), int(c), int(h))) for job in jobs for r, c, h in job.starts]
-        return bound_tasks(pairs, self.lidar, self.rules, self.bound_seconds)
 
     def _beside(self, found, tasks, out):
         """Complete a comparison and its files by bounds; the last is False after an interruption."""

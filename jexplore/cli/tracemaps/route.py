@@ -1,5 +1,6 @@
 """The command `jexplore route`."""
 
+import contextlib
 import dataclasses
 import functools
 from collections.abc import Sequence
@@ -11,6 +12,7 @@ from jexplore.cli.options import given_of
 from jexplore.cli.output.console import COMPILING, Out, note_if_slow
 from jexplore.cli.output.terminal import show_line, show_table
 from jexplore.config import InputError
+from jexplore.driving.settings import Noise
 
 NO_ROUTE = 1  # exit status
 
@@ -58,30 +60,22 @@ class RouteCommand:
         if self.drive is None and given_of(self, ("noise_m", "seed")):
             raise InputError("--noise-m and --seed go with --drive WORLD")
         if self.drive is not None:
-            self._require_drive()
+            from jexplore.studies.checks import ready_worlds
+
+            Noise(range_m=self.noise_m)
+            ready_worlds(self.drive, 0.1)
         from jexplore.tracemap.json_form import read_btm
 
         btm = read_btm(str(self.map))
-        if self.out is None:
-            return self._answered(btm)[0]
-        with Out(self, arguments) as out:
-            status, route, changed = self._answered(btm)
-            _write(out, self.drive is not None, btm, route, changed)
+        with contextlib.ExitStack() as stack:
+            out = None if self.out is None else stack.enter_context(Out(self, arguments))
+            route = self._found(btm)
+            status, changed = _tell(btm, route), btm
+            if self.drive is not None and not status:
+                status, changed = self._followed(btm, route)
+            if out is not None:
+                _write(out, self.drive is not None, btm, route, changed)
             return status
-
-    def _answered(self, btm):
-        """Tell a route, and drive it if requested; return the exit status, the route, and the map with the findings."""
-        route = self._found(btm)
-        status = _tell(btm, route)
-        return (status, route, btm) if status or self.drive is None else self._followed(btm, route)
-
-    def _require_drive(self):
-        """Refuse a building or numbers before anything is printed."""
-        from jexplore.driving.settings import Noise
-        from jexplore.studies.checks import ready_worlds
-
-        Noise(range_m=self.noise_m)
-        ready_worlds(self.drive or "", 0.1)
 
     def _found(self, btm) -> Any:
         from jexplore.engine.backend import use_compilation_cache
@@ -95,11 +89,10 @@ class RouteCommand:
             )
 
     def _followed(self, btm, route):
-        """Drive the route; return as `_answered`."""
+        """Drive the route; return the exit status, and the map with the findings."""
         if not route.links:
             show_line("driven: nothing, for the way has no link")
-            return 0, route, btm
-        from jexplore.driving.settings import Noise
+            return 0, btm
         from jexplore.studies.traces.following import follow
 
         with note_if_slow(COMPILING):
@@ -109,7 +102,7 @@ class RouteCommand:
         show_line(f"driven: {told}; {row['missed']} of {row['places']} places missed, {row['extra']} more found")
         for line in found.changes:
             show_line(f"found: {line}", indent=7)
-        return (0 if row["outcome"] == "ARRIVED" else NO_ROUTE), route, found.map
+        return (0 if row["outcome"] == "ARRIVED" else NO_ROUTE), found.map
 
 
 def _tell(btm, route) -> int:
