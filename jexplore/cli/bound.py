@@ -8,7 +8,6 @@ from tyro.conf import Positional
 
 from jexplore.cli.options import ResumeOptions, RobotOptions, WorkerOptions, fields_of
 from jexplore.cli.output.console import Out, note_if_slow, working
-from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError
 
 
@@ -48,8 +47,7 @@ class Bound(WorkerOptions, ResumeOptions, RobotOptions):
             ledger = out.keep(bound.asked_of_bounds(tasks), len(tasks))
             if ledger is None:
                 table = store.read_parquet(out.run.path / "bounds.parquet")
-                show_table(bound.bounds_table(table))
-                return out.draw_missing()
+                return out.finish({}, {}, bound.bounds_table(table))
             with working(len(tasks), "starts") as on_progress:
                 found = bound.run_bounds(tasks, ledger=ledger, workers=self.workers, on_progress=on_progress)
             entries = {"interrupted": found.interrupted, "settings": found.settings}

@@ -21,7 +21,6 @@ from jexplore.cli.options import (
     is_small,
 )
 from jexplore.cli.output.console import Out, note_if_slow, working
-from jexplore.cli.output.terminal import show_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -108,24 +107,21 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOp
             tasks = bound_tasks(pairs, self.lidar, self.rules, self.bound_seconds)
             reported = jobs if self.report else None
             found = run_with_bar(self, jobs, out, tasks)
-            if found is None:
-                return show_finished(out, _tables, figures_of, reported)
             with note_if_slow(FINISHING):
                 entries = {"standings": found.standings.to_dict("records")} if self.league else {}
-                record = functools.partial(out.record, **entries)
                 text = found.league_text() if self.league else found.to_markdown()
             found, files, is_whole = self._beside(found, tasks, out)
             text += _more_tables(found.episodes, self.league)
             figures = figures_of(found, league=self.league)
             with note_if_slow(FINISHING):
-                return finish_comparison(out, found, text, figures, record, reported, files, is_whole=is_whole)
+                return finish_comparison(out, found, text, figures, entries, reported, files, is_whole=is_whole)
 
     def _beside(self, found, tasks, out):
         """Complete a comparison and its files by bounds; the last is False after an interruption."""
         from jexplore.studies.bounds.bound import run_bounds
 
         files, is_whole = {}, not found.interrupted
-        if tasks and is_whole:
+        if tasks and is_whole and not out.was_finished:
             try:
                 with working(len(tasks), "starts") as on_progress:
                     how = {"ledger": out.ledger, "first": out.units - len(tasks), "workers": self.workers}
@@ -149,64 +145,39 @@ def _more_tables(episodes, league):
     return f"\nCompared with the shortest walks of one that knows the map:\n\n{table}"
 
 
-def _tables(found, record):
-    """Format the tables of a comparison that has been finished before."""
-    league = record["configuration"].get("league")
-    return (found.league_text() if league else found.to_markdown()) + _more_tables(found.episodes, league)
-
-
-def run_with_bar(
-    options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequence[BoundTask]" = ()
-) -> "ComparisonResult | None":
-    """Compile and run the unfinished part, with a note and a bar; None if everything is finished.
+def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequence[BoundTask]" = ()) -> Any:
+    """Compile and run the unfinished part, with a note and a bar; read the results of a finished run.
 
     `starts` are bounded afterwards, as the last units of the run.
     """
-    from jexplore.studies.results import comparison, provenance, units
+    from jexplore.studies.results import comparison, loading, provenance, units
 
     asked = provenance.asked(jobs)
     asked |= {"bound_seconds": starts[0].seconds if starts else None} if hasattr(options, "bounds") else {}
     ledger = out.keep(asked, lambda n: len(units.cut_jobs(jobs, n)) + len(starts))
     if ledger is None:
-        return None
+        return loading.load(out.run.path)
     how = {"ledger": ledger, **fields_of(options, "engine lanes workers")}
     with working(sum(len(job.starts) for job in jobs), "episodes") as on_progress:
         return comparison.run_comparison(jobs, **how, on_progress=on_progress)
 
 
-def show_finished(
-    out: Out,
-    tables: Callable[[Any, Mapping[str, Any]], str],
-    figures: "Callable[..., Mapping[str, Callable[[], Figure]]]",
-    jobs: "Sequence[Job] | None" = None,
-) -> int:
-    """Print the results of a finished run for `--resume`, draw missing pictures and return the exit status.
-
-    `tables` gets the results and the content of run.json, `figures` the results and whether they are a league's.
-    """
-    from jexplore.studies.results import saving
-    from jexplore.studies.results.loading import load, run_record
-
-    found, record = load(out.run.path), run_record(out.run.path)
-    show_table(tables(found, record))
-    drawn = figures(found, league=bool(record["configuration"].get("league")))
-    found = getattr(found, "comparison", found)
-    return out.draw_missing(saving.pictures_of(drawn, record, functools.partial(saving.tables_of, found), jobs))
-
-
 def finish_comparison(
     out: Out, found: "ComparisonResult", text: str, figures: "Mapping[str, Callable[[], Figure]]",
-    record: Callable[..., Any], jobs: "Sequence[Job] | None" = None, more: Mapping[str, Any] = MappingProxyType({}), *,
+    entries: Mapping[str, Any], jobs: "Sequence[Job] | None" = None, more: Mapping[str, Any] = MappingProxyType({}), *,
     is_whole: bool = True,
 ) -> int:  # fmt: skip
     """Write, print and draw the common output of comparisons and reproductions; return the exit status.
 
-    `record` gets more entries of run.json and returns all; `more` are files besides: name -> content.
+    `entries` are more ones of run.json, `more` files besides: name -> content.
     """
-    from jexplore.studies.results import saving
+    from jexplore.studies.results import loading, saving
 
     is_whole = is_whole and not found.interrupted
-    page = record(**saving.entries_of(found), **found.made.record)
+    if out.was_finished:
+        page = loading.run_record(out.run.path)
+    else:
+        page = out.record(**entries, **saving.entries_of(found), **found.made.record)
     files = {**saving.comparison_files(found), **more}
     text += "".join(f"warning: {line}\n" for line in found.warnings)
     tables = functools.partial(saving.tables_of, found)
@@ -240,12 +211,10 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
         with Out(self, arguments) as out:
             settings = fields_of(self, "maps episodes seed cell_m lidar rules robot")
             jobs = reproduction.prepare_paper(self.paper, **settings)
-            made = run_with_bar(self, jobs, out)
-            if made is None:
-                return show_finished(out, lambda found, _: found.to_markdown(), lambda found, league: {})
+            found = run_with_bar(self, jobs, out)
             with note_if_slow(FINISHING):
-                found = reproduction.reproduction_of(self.paper, self.maps, made)
+                if not out.was_finished:
+                    found = reproduction.reproduction_of(self.paper, self.maps, found)
                 tables, orderings = (table.to_dict("records") for table in (found.tables, found.orderings))
                 entries = {"notes": found.notes, "tables": tables, "orderings": orderings}
-                record = functools.partial(out.record, **entries)
-                return finish_comparison(out, made, found.to_markdown(), {}, record)
+                return finish_comparison(out, found.comparison, found.to_markdown(), {}, entries)

@@ -11,7 +11,6 @@ from tyro.conf import Positional
 from jexplore.cli.compare import FINISHING
 from jexplore.cli.options import EngineOptions, ReportOptions, ResumeOptions, TrustOptions, fields_of
 from jexplore.cli.output.console import Out, note_if_slow, working
-from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError
 
 if TYPE_CHECKING:
@@ -40,6 +39,7 @@ class SweepCommand(EngineOptions, ReportOptions, ResumeOptions, TrustOptions):
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
+        from jexplore.studies.results.loading import load, run_record
         from jexplore.studies.sweeps import plan as plans
         from jexplore.studies.sweeps.run import run_sweep
         from jexplore.studies.sweeps.spec import read_spec
@@ -58,7 +58,9 @@ class SweepCommand(EngineOptions, ReportOptions, ResumeOptions, TrustOptions):
         with Out(self, arguments) as out:
             ledger = out.keep(plan.asked(shard), lambda n: len(plan.after(n).units), shard)
             if ledger is None:
-                return _show_finished(out, plan if self.report else None)
+                found = load(out.run.path)
+                text, pictures = found.to_markdown(PRINTED_ROWS), _pictures(out, found, run_record(out.run.path), plan)
+                return out.finish({}, {}, text, pictures)
             total = sum(plan.size(number) for number in numbers)
             how = fields_of(self, "engine lanes workers")
             with working(total, "episodes") as on_progress:
@@ -77,22 +79,13 @@ def shard_of(text: str | None) -> tuple[int, int] | None:
     return int(match[1]) - 1, int(match[2])
 
 
-def _show_finished(out, plan):
-    """Print the results of a finished sweep for `--resume`, and draw missing pictures."""
-    from jexplore.studies.results.loading import load, run_record
-
-    found = load(out.run.path)
-    show_table(found.to_markdown(PRINTED_ROWS))
-    return out.draw_missing(_pictures(found, run_record(out.run.path), plan))
-
-
-def _pictures(found, record, plan):
-    """Return pictures of a sweep and, with a plan, its page: name -> content."""
+def _pictures(out, found, record, plan):
+    """Return pictures of a sweep and its page: name -> content."""
     from jexplore.studies.results.saving import pictures_of
     from jexplore.studies.sweeps.run import labels_of
 
     jobs, labels = None, ()
-    if plan is not None and not found.missing:
+    if out.options.report and not found.missing:
         jobs, settings = zip(*plan.first_jobs())
         labels = labels_of(settings)
     rows = len(found.summary)
@@ -121,7 +114,7 @@ def _finish(out: Out, found: "SweepResult", plan: Any, **entries: Any) -> int:
     files = {"episodes.parquet": found.episodes, "summary.csv": found.summary, "asked.yaml": spec}
     text = found.to_markdown(PRINTED_ROWS)
     text += f"warning: {found.missing} episodes are missing\n" if found.missing else ""
-    pictures = _pictures(found, record, plan if out.options.report else None)
+    pictures = _pictures(out, found, record, plan)
     return out.finish(record, files, text, pictures, interrupted=found.missing > 0)
 
 

@@ -68,7 +68,7 @@ class Train(WorkerOptions, ResumeOptions, RobotOptions):
             )
             ledger = out.keep(training.training_inputs(plan), plan.units)
             if ledger is None:
-                return out.draw_missing()
+                return out.finish({}, {}, "")
             with working(plan.rounds, "rounds") as on_progress:
                 found = training.run_training(plan, ledger=ledger, workers=self.workers, on_progress=on_progress)
             return _finish_training(out, found, plan)

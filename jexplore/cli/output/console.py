@@ -107,6 +107,8 @@ class Out:
     ledger: "Ledger | None" = None
     asked: dict[str, Any] | None = None
     units = wanted = 0
+    was_finished = False
+    """True once the folder is known to hold the whole run."""
 
     def __init__(self, options: Any, arguments: Sequence[str], command: str = "") -> None:
         """Check the options of the folder; `command` is the first of the arguments, unless it is given."""
@@ -163,6 +165,7 @@ class Out:
 
         self.asked = {"command": self.command, **asked}
         self.ledger = open_ledger(self.run, self.asked, units, resume=self.resume, trust=self.trust)
+        self.was_finished = self.ledger is None
         if self.ledger is not None:
             self.units = self.ledger.units
             self.wanted = self.units if shard is None else len(range(shard[0], self.units, shard[1]))
@@ -194,17 +197,26 @@ class Out:
     ) -> int:  # fmt: skip
         """Write the files and run.json, all or none; print the text and add the pictures; return the exit status.
 
+        Of a run that was finished before, only pictures that it lacks are written.
+
         Files and pictures are name -> content, see `folders.write_content`. A reader of the output who goes away costs
         neither results nor pictures.
         """
-        files = {**files, "run.json": record}
-        self.run.write(files, is_finished=not interrupted)
+        if self.was_finished:
+            pictures = {name: own for name, own in pictures.items() if not (self.run.path / name).is_file()}
+        else:
+            files = {**files, "run.json": record}
+            self.run.write(files, is_finished=not interrupted)
         try:
             if text:
                 show_table(text)
             sys.stdout.flush()
         finally:
             drawn = self.draw(pictures)
+        if self.was_finished:
+            what = f"drew {', '.join(drawn)}" if drawn else "nothing was left to do"
+            print(f"{self.run.path}{os.sep} holds all of it: {what}")
+            return 0
         print(f"wrote {', '.join([*files, *drawn])} to {self.run.path}{os.sep}")
         if interrupted:
             self.say_kept()
@@ -227,10 +239,3 @@ class Out:
             except Exception as error:
                 print(f"warning: {name} could not be drawn: {first_line(error)}", file=sys.stderr)
         return drawn
-
-    def draw_missing(self, pictures: Mapping[str, Any] = MappingProxyType({})) -> int:
-        """Add the pictures that a finished run lacks, tell so and return the exit status."""
-        drawn = self.draw({name: own for name, own in pictures.items() if not (self.run.path / name).is_file()})
-        what = f"drew {', '.join(drawn)}" if drawn else "nothing was left to do"
-        print(f"{self.run.path}{os.sep} holds all of it: {what}")
-        return 0
