@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 from collections.abc import Sequence
+from typing import Any
 
 from jexplore.cli.options import ReportOptions, SceneOptions, fields_of
 from jexplore.cli.output.console import COMPILING, Out, note_if_slow, progress_of
@@ -46,7 +47,7 @@ class Explore(ReportOptions, SceneOptions):
             with note_if_slow(COMPILING):
                 found = run_job(job)
             measures = {"world": found.world.name, "strategy": found.strategy, **found.measures}
-            times = {"compile_s": found.compile_s, "run_s": found.run_s}
+            times: dict[str, Any] = {"compile_s": found.compile_s, "run_s": found.run_s}
             record = out.record(result=measures, worlds=[found.world], **times)
             lines = [f"{name:<18} {_text(value)}" for name, value in measures.items()]
             if not found.can_be_replayed:

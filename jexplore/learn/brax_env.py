@@ -128,7 +128,7 @@ class Lanes(Env):
         return "none"
 
 
-def wrap_lanes(env: Env, episode_length: int, action_repeat: int, randomization_fn: Any) -> Wrapper:
+def wrap_lanes(env: Env, episode_length: int = 1000, action_repeat: int = 1, randomization_fn: Any = None) -> Wrapper:
     """Count steps: `wrap_env_fn` of `brax.training`, whose own wrapper goes back to the first start for ever."""
     del randomization_fn
     return EpisodeWrapper(env, episode_length, action_repeat)
