@@ -20,7 +20,7 @@ from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.devices import pinned_draws, random_key
 from jexplore.learn import es, ppo
 from jexplore.learn.bank import TRAINING, VALIDATION, Bank, prepare_bank
-from jexplore.learn.settings import require_names_apart, require_rounds, trainer_settings
+from jexplore.learn.settings import require_rounds, trainer_settings
 from jexplore.policies import Strategy
 from jexplore.policies.learned import features, networks
 from jexplore.policies.learned.model import (
@@ -118,7 +118,8 @@ def prepare_training(
     """
     numbers = trainer_settings(algo, settings)
     networks.network_named(network)
-    require_names_apart((world.name for world in training.worlds), (world.name for world in validation.worlds))
+    for name in sorted({world.name for world in training.worlds} & {world.name for world in validation.worlds}):
+        raise InputError(f"world {name!r} is in both the training and the validation worlds")
     if algo == "ppo":
         ppo.require_trainable(training, numbers)
     seed, rounds = require_setting("seed", seed), require_setting("rounds", rounds)

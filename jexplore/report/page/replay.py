@@ -15,19 +15,24 @@ be reached; whether the strategy takes it for a part of the room that the robot 
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class OtherRobot:
-    """Another robot of a team; fields as those of `ReplayData`."""
+class RobotReplay:
+    """A robot in an episode of n steps as F frames. Numpy arrays, on the host."""
 
     rows: np.ndarray
+    """`[n + 1]` int, the robot's cell at the start and after each step."""
     cols: np.ndarray
+    """`[n + 1]` int"""
     steps: np.ndarray
+    """`[F]` int, steps made before each frame, increasing; the last one n."""
     heading_deg: np.ndarray
+    """`[F]` int"""
     target: np.ndarray
+    """`[F, 2]` int, row and col of what the robot goes to next; -1 for none."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class ReplayData:
-    """An episode of n steps as F frames. Numpy arrays, on the host; what the page shows besides is made from them.
+class ReplayData(RobotReplay):
+    """An episode and its first robot; what the page shows besides is made from them.
 
     Raises:
       ValueError: steps that do not increase up to the last one, or a step of more than one cell.
@@ -45,16 +50,6 @@ class ReplayData:
     """`[H, W]` bool, True where the world is occupied."""
     rooms: np.ndarray | None
     """`[H, W]` int, number of the true room; -1 outside rooms. None for a world without."""
-    rows: np.ndarray
-    """`[n + 1]` int, the robot's cell at the start and after each step."""
-    cols: np.ndarray
-    """`[n + 1]` int"""
-    steps: np.ndarray
-    """`[F]` int, steps made before each frame, increasing; the last one n."""
-    heading_deg: np.ndarray
-    """`[F]` int"""
-    target: np.ndarray
-    """`[F, 2]` int, row and col of what the robot goes to next; -1 for none."""
     until: np.ndarray
     """`[F]` int, steps made when it has ended to go there."""
     known_m2: np.ndarray
@@ -63,7 +58,7 @@ class ReplayData:
     """`[F]` what changed in the map of codes, see `packing.runs`; at first from all 0."""
     has_own_room: bool = False
     """True if the strategy has a room of its own."""
-    others: tuple[OtherRobot, ...] = ()
+    others: tuple[RobotReplay, ...] = ()
     """The robots of a team besides this one."""
     clock_m: np.ndarray | None = None
     """`[F]` of a team, its clock, metres; steps then need not increase. None: a robot alone."""
