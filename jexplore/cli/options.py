@@ -99,7 +99,7 @@ class EngineOptions(WorkerOptions):
     on a GPU if available (jax). The results are equal. Trace runs are in JAX, on a CPU unless it is alone, and equal
     but for rounding."""
     lanes: int | None = None
-    """With --engine jax on a GPU, run this number of episodes or trace runs at a time; by default as many as its memory holds."""
+    """With --engine jax on a GPU, run this number of episodes at a time; by default as many as its memory holds."""
 
 
 @dataclasses.dataclass(frozen=True)
