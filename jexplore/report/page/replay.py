@@ -85,13 +85,15 @@ class ReplayData(RobotReplay):
             return self
         chosen = evenly(frames - 1, most)
         changes = tuple(changes_of(image for i, image in enumerate(self.maps()) if i in chosen))
-        parts = {name: getattr(self, name)[chosen] for name in ("until", "known_m2", *_BY_FRAME)}
-        parts |= {} if self.clock_m is None else {"clock_m": self.clock_m[chosen]}
-        others = tuple(
-            dataclasses.replace(other, **{name: getattr(other, name)[chosen] for name in _BY_FRAME})
-            for other in self.others
-        )
-        return dataclasses.replace(self, changes=changes, others=others, **parts)
+        clock_m = None if self.clock_m is None else self.clock_m[chosen]
+        parts: dict[str, Any] = {"changes": changes, "clock_m": clock_m}
+        parts |= {"until": self.until[chosen], "known_m2": self.known_m2[chosen], **_frames_of(self, chosen)}
+        others = tuple(dataclasses.replace(other, **_frames_of(other, chosen)) for other in self.others)
+        return dataclasses.replace(self, **parts, others=others)
+
+
+def _frames_of(robot, chosen):
+    return {name: getattr(robot, name)[chosen] for name in _BY_FRAME}
 
 
 def changes_of(images: Iterable[np.ndarray]) -> Iterator[bytes]:

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from jexplore.report.plot import wrapped_text
-from jexplore.report.plots.looks import FONT, GREY, band_of, curves_page, legend_below, looks_of
+from jexplore.report.plots.looks import FONT, GREY, curves_page, legend_below, looks_of
 
 TRAINED, CHECKED = "#9ecae1", "#d55e00"
 SPREAD, MOST_SPREAD = 0.012, 0.08
@@ -56,8 +56,9 @@ def coverage_curves_figure(
         shown = [quartiles(part)[2] for part in known.values()]
         shown = np.concatenate([part[np.isfinite(part)] for part in shown]) if shown else np.zeros(0)
         end_m = min(end_m, 1.08 * float(shown.max(initial=0.0)) or end_m)
+        band = min(0.18, 0.6 / max(len(known), 1))  # bands overlap
         for name, progress in known.items():
-            draw_progress(ax, progress, looks[name], band=band_of(len(known))).set_label(name)
+            draw_progress(ax, progress, looks[name], band=band).set_label(name)
         ax.set(xlim=(-0.01 * end_m, end_m), ylim=(0, 101))
         if not np.any(shown > 0):
             at = {"ha": "center", "va": "center", "fontsize": FONT, "color": GREY, "transform": ax.transAxes}

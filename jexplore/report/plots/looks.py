@@ -20,11 +20,6 @@ FONT = 8  # points
 GREY = "#777777"
 
 
-def band_of(count: int) -> float:
-    """Return the opacity of the bands of a number of strategies; many are more transparent, as they overlap."""
-    return min(0.18, 0.6 / max(count, 1))
-
-
 def looks_of(strategies: Iterable[Any]) -> dict[Any, dict[str, Any]]:
     """Return `{strategy: line properties}` in the order given: a colour, a mark, and from the eighth on another line.
 

@@ -49,17 +49,14 @@ class MapPanel(NamedTuple):
     draw: Callable[[Axes], Any]  # draws the map; artists with labels go to the legend
 
 
-def columns_of(count: int) -> int:
-    """Return how many of `count` maps stand side by side."""
-    return count if count <= 3 else min(4, math.ceil(math.sqrt(count)))
+def maps_page(panels: Sequence[MapPanel], n_cols: int | None = None, long_in: float = LONG_IN) -> tuple[Figure, Any]:
+    """Draw maps in rows of `n_cols`, by default of up to four, each with a title and a scale bar.
 
-
-def maps_page(panels: Sequence[MapPanel], n_cols: int, long_in: float = LONG_IN) -> tuple[Figure, Any]:
-    """Draw maps in rows of `n_cols`, each with a title and a scale bar; return the page and its axes.
-
-    `long_in` is the longer side of a map, inches. A place without a panel stays empty.
+    Return the page and its axes. `long_in` is the longer side of a map, inches. A place without a panel stays empty.
     """
-    rows = [panels[i : i + n_cols] for i in range(0, len(panels), n_cols)]
+    count = len(panels)
+    n_cols = n_cols or (count if count <= 3 else min(4, math.ceil(math.sqrt(count))))
+    rows = [panels[i : i + n_cols] for i in range(0, count, n_cols)]
     sizes = [panel_in([panel.shape for panel in row if panel], long_in) for row in rows]
     width, heights = max(size[0] for size in sizes), [size[1] for size in sizes]
     titles = [
@@ -88,7 +85,7 @@ def worlds_figure(worlds: Sequence[tuple[str, Any]]) -> Figure:
         rooms = f", {n_rooms} room{'s' if n_rooms > 1 else ''}" if n_rooms else ""
         title = f"{' '.join(name.split())}\n{world.free_m2:.0f} m² free{rooms}"
         panels.append(MapPanel(title, world.shape, functools.partial(_draw_world, world=world)))
-    return maps_page(panels, columns_of(len(panels)))[0]
+    return maps_page(panels)[0]
 
 
 def _draw_world(ax, world):
@@ -138,7 +135,7 @@ def bounds_figure(found: Any) -> Figure:
         way = (own["row"], own["col"]) if len(own) else ([row["start_row"]], [row["start_col"]])
         draw = functools.partial(_draw_bound, world=world, way=way, witnesses=found.witnesses[number])
         panels.append(MapPanel(f"{row['world']}\n{_between(row)}", world.shape, draw))
-    page, _ = maps_page(panels, columns_of(len(panels)))
+    page, _ = maps_page(panels)
     legend_below(page)
     return page
 
