@@ -16,7 +16,7 @@ import numpy as np
 
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.learn.bank import prepare_bank
-from jexplore.learn.brax_env import BraxDecisions, Slots, unflat, wrap_lanes
+from jexplore.learn.brax_env import Lanes, Slots, unflat
 from jexplore.policies.learned.networks import MASKED
 
 LANES, PART = 4, 250  # steps of all lanes in one call
@@ -30,7 +30,7 @@ def main(arguments):
     from jexplore.learn.decisions import Decisions
 
     decisions = Decisions(prepare_bank(worlds, cell_m=cell_m), starts=16)
-    env, slots = wrap_lanes(BraxDecisions(decisions), 10**6), Slots(decisions.n_choices)
+    env, slots = Lanes(decisions), Slots(decisions.n_choices)
 
     def choose(state, key):
         used = unflat(state.obs).used

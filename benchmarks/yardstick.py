@@ -19,9 +19,10 @@ from jax.experimental.compilation_cache import compilation_cache
 
 from jexplore.bench import LIDAR, RULES, is_equal, run_once
 from jexplore.bench.tables import markdown, plus_minus
-from jexplore.bench.timing import interleaved, mean_and_se, median_and_min, one_core, ratio, surroundings
+from jexplore.bench.timing import interleaved, mean_and_se, median_and_min, one_core, surroundings
 from jexplore.config import ENGINES, InputError, require_whole
 from jexplore.engine.backend import start_backend
+from jexplore.exploration.batch import Job
 from jexplore.exploration.results import path_m
 from jexplore.exploration.state import Outcome
 from jexplore.grid import is_known
@@ -77,7 +78,7 @@ def beside(world, strategy, yardstick, n, repeat):
     def theirs():
         return [explorer.run(*start, recheck=strategy.recheck) for start in zip(rows, cols, headings)]
 
-    tasks = {engine: functools.partial(run_once, world, strategy, starts, engine) for engine in ENGINES}
+    tasks = {engine: functools.partial(run_once, Job(world, strategy, starts), engine) for engine in ENGINES}
     tasks |= {"yardstick": theirs}
     for task in tasks.values():
         task()
@@ -93,7 +94,9 @@ def beside(world, strategy, yardstick, n, repeat):
         "strategy": strategy.name,
         "shape": list(world.shape),
         "cpu_s_per_episode": {name: median_and_min(values) for name, values in cpu.items()},
-        "beside_yardstick": {name: ratio(values, cpu["yardstick"]) for name, values in cpu.items()},
+        "beside_yardstick": {
+            name: float(np.median(np.divide(values, cpu["yardstick"]))) for name, values in cpu.items()
+        },
         "path_m": {"ours": mean_and_se(our_m), "yardstick": mean_and_se(their_m)},
         "path_m_difference": mean_and_se(our_m - their_m),
         **{

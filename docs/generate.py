@@ -265,7 +265,7 @@ def _summary(kind):
 
 def _table(kind, prefix, shared):
     """Tabulate the options of a record; those that are records go to `shared`."""
-    from jexplore.cli.options import field_texts, fields_in_order
+    from jexplore.cli.options import field_texts, fields_in_order, metavar_of
 
     texts, hints = field_texts(kind), typing.get_type_hints(kind, include_extras=True)
     rows, more = [], []
@@ -275,17 +275,17 @@ def _table(kind, prefix, shared):
             shared[field.name] = hint
             more.append(f"[`--{field.name}.*`](#options-of-{field.name})")
             continue
-        option, default = _option(field, hint, settings, "" if field.metadata.get("short") else prefix)
+        metavar = metavar_of(field.name, hint)
+        option, default = _option(field, hint, settings, metavar, "" if field.metadata.get("short") else prefix)
         text = field.metadata.get("off") if field.default is True else None
         rows.append((f"`{option}`", default, text or texts.get(field.name, "")))
     below = f"\nAlso {', '.join(more)}.\n" if more else ""
     return table_of(["option", "default", "meaning"], rows) + below if rows else "It takes no options.\n"
 
 
-def _option(field, hint, settings, prefix):
+def _option(field, hint, settings, metavar, prefix):
     """Return the form of an option, and its default."""
     default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
-    metavar = next((one.metavar for one in settings if getattr(one, "metavar", None)), None)
     own = next((one.name for one in settings if getattr(one, "name", None)), field.name)
     name = f"--{prefix}{own}".replace("_", "-")
     if any("Positional" in str(one) for one in settings):

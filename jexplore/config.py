@@ -34,7 +34,6 @@ NUMBER_BOUNDS: dict[str, tuple[float, float]] = {
     "trials": (1, 10_000),
     "world_seeds": (1, 1000),
     "check_every": (1, 10**6),
-    "patience": (0, 10**6),
     "workers": (1, 1024),
     "lanes": (1, 2**20),
     "batch_sizes": (1, 2**16),

@@ -74,7 +74,7 @@ def test_defaults_suit_the_machine(monkeypatch):
     plan = bench.prepare_bench(worlds=[SMALL])
     assert plan.batches == dict.fromkeys(("auto", "jax"), (1, 4, 16, 64))
     quick = bench.prepare_bench(quick=True, batch_sizes=[8, 2], engine=["jax"])
-    assert [world.name for world in quick.worlds] == ["cave"]
+    assert [job.world.name for job in quick.jobs] == ["cave"]
     assert quick.batches == {"jax": (2, 8)}
     monkeypatch.setattr(bench, "has_lanes", lambda engine: engine == "jax")
     assert bench.prepare_bench(worlds=[SMALL]).batches["jax"][-1] == 4096
@@ -84,15 +84,15 @@ def test_lanes_are_filled_again_and_one_other_bit_is_told(monkeypatch):
     monkeypatch.setattr(bench, "has_lanes", lambda engine: engine == "jax")
     asked = []
 
-    def play(world, strategy, starts, engine, lanes=None):
-        asked.append((len(starts), engine, lanes))
-        found = result(len(starts))
+    def play(job, engine, lanes=None):
+        asked.append((len(job.starts), engine, lanes))
+        found = result(len(job.starts))
         found.n_known[1] += engine == "jax"
         return bench.Finished([Outcomes(found, None)], Costs(levels={"closest": [engine]}))
 
     monkeypatch.setattr(bench, "run_once", play)
     plan = bench.prepare_bench(worlds=[SMALL], strategies=["closest"])
-    rows = bench.measure_episodes(plan.worlds[0], plan.strategies[0], [("auto", 2), ("jax", 4)], 1)
+    rows = bench.measure_episodes(plan.jobs[0], [("auto", 2), ("jax", 4)], 1)
     assert asked[:2] == [(2, "auto", None), (8, "jax", 4)]
     assert [row["equal"] for row in rows] == [False, False]
 

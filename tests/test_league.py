@@ -11,7 +11,7 @@ from test_over_worlds import episodes
 
 from jexplore.cli import main
 from jexplore.policies import parse_strategy
-from jexplore.report.plots.standings import league_figure
+from jexplore.report.plots.compare import league_figure
 from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds, standings, standings_table
 from jexplore.studies.statistics.over_worlds import kind_of, mean_over_worlds
 from jexplore.studies.statistics.paired import holm

@@ -10,6 +10,7 @@ from ref.refusals import refused
 
 from jexplore.config import InputError
 from jexplore.report import plot
+from jexplore.report.plots import maps
 from jexplore.worlds.world import World
 
 STATE = np.array([[2, 2, 2, 2], [2, 1, 1, 0], [2, 2, 0, 0]], dtype=np.uint8)
@@ -96,7 +97,7 @@ def entries():
 
 
 def test_paths_figure():
-    figure = plot.paths_figure(entries())
+    figure = maps.paths_figure(entries())
     check_texts(figure)
     panels = [ax for ax in shown(figure) if ax.images]
     assert len(panels) == 4
@@ -138,7 +139,7 @@ def test_worlds_figure():
     rooms = np.full((20, 30), -1, dtype=np.int32)
     rooms[1:10, 1:10], rooms[12:18, 12:20] = 0, 4  # two rooms, numbered with a gap
     plans = [("office#1", world(rooms=rooms, start=(5, 6, 90))), ("maze" * 25, world(90, 20)), ("cave", world(10, 60))]
-    figure = plot.worlds_figure([*plans, ("one", world(rooms=np.where(rooms == 4, -1, rooms)))])
+    figure = maps.worlds_figure([*plans, ("one", world(rooms=np.where(rooms == 4, -1, rooms)))])
     check_texts(figure)
     first, second, third, fourth = shown(figure)
     below = [ax.get_title().split("\n")[-1] for ax in (first, second, third, fourth)]

@@ -49,7 +49,7 @@ def lines_of(ax):
 
 
 def test_nodes_and_links(ax):
-    handles = picture.draw_btm(ax, COURSE)
+    picture.draw_btm(ax, COURSE)
     searched, stubs = lines_of(ax)
     np.testing.assert_array_equal(searched, [[[0, 0], [4, 0]], [[4, 0], [8, 0]], [[8, 0], [8, -4]]])
     np.testing.assert_allclose(stubs, [[[8, 0], [8, picture.STUB_M]]], atol=1e-12)
@@ -58,34 +58,35 @@ def test_nodes_and_links(ax):
     assert {text.get_text(): text.xy for text in ax.texts} == {
         str(node.id): (node.x_m, node.y_m) for node in COURSE.nodes
     }
-    labels = [handle.get_label() for handle in handles]
+    labels = ax.get_legend_handles_labels()[1]
     assert labels[:2] == ["searched link", "un-searched link"]
     assert sorted(labels[2:]) == ["divergence node", "free space node", "obstacle node", "terminal node"]
 
 
 def test_a_loop_and_nothing(ax):
-    assert picture.draw_btm(ax, BtmMap((), ())) == []
+    picture.draw_btm(ax, BtmMap((), ()))
+    assert ax.get_legend_handles_labels() == ([], [])
     picture.draw_btm(ax, BtmMap((Node(0, 1.0, 1.0, "divergence"),), (Link(0, 0, 0, "searched", 0.0, 90.0),)))
     (loop,) = lines_of(ax)
     np.testing.assert_allclose(loop, [[[1 + picture.STUB_M, 1], [1, 1], [1, 1 + picture.STUB_M]]])
 
 
 def test_the_trail_has_the_colours_of_its_modes(ax):
-    handles = plot_traces.draw_trail(ax, TRAIL, RUN, MODES)
-    (pieces,) = ax.collections
-    np.testing.assert_array_equal(pieces.get_segments(), np.stack([TRAIL[:-1, :2], TRAIL[1:, :2]], axis=1))
-    want = [to_rgb(plot_traces.MODE_COLOURS[mode]) for mode in RUN[1:]]
-    np.testing.assert_allclose(pieces.get_colors()[:, :3], want)
-    assert [handle.get_label() for handle in handles] == [*MODES[:3], "start", "end"]
-    for handle, mode in zip(handles, range(3)):
-        assert handle.get_color() == plot_traces.MODE_COLOURS[mode]
-    start, end = handles[-2:]
+    plot_traces.draw_trail(ax, TRAIL, RUN, MODES)
+    pieces = np.stack([TRAIL[:-1, :2], TRAIL[1:, :2]], axis=1)
+    for mode, lines in enumerate(ax.collections):
+        np.testing.assert_array_equal(lines.get_segments(), pieces[RUN[1:] == mode])
+        assert to_rgb(lines.get_colors()[0]) == to_rgb(plot_traces.MODE_COLOURS[mode])
+    assert ax.get_legend_handles_labels()[1] == [*MODES[:3], "start", "end"]
+    start, end = ax.lines
     assert (start.get_xydata().tolist(), end.get_xydata().tolist()) == ([[0, 0]], [[8, -4]])
 
 
 def test_short_trails(ax):
-    assert plot_traces.draw_trail(ax, np.zeros((0, 3)), [], MODES) == []
-    assert len(plot_traces.draw_trail(ax, np.zeros((1, 3)), [3], MODES)) == 3
+    plot_traces.draw_trail(ax, np.zeros((0, 3)), [], MODES)
+    assert not ax.lines
+    plot_traces.draw_trail(ax, np.zeros((1, 3)), [3], MODES)
+    assert ax.get_legend_handles_labels()[1] == [MODES[3], "start", "end"]
     with pytest.raises(ValueError, match=r"^expected a mode for every pose, got 1 for 2$"):
         plot_traces.draw_trail(ax, np.zeros((2, 3)), [3], MODES)
 

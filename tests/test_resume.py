@@ -189,7 +189,7 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)  # which nohup, where the tests run
 def command(arguments, signals):
     signals.listen()
     options = types.SimpleNamespace(out=arguments[0], overwrite=False)
-    with Out(options, "explore") as out:
+    with Out(options, ["explore"]) as out:
         out.keep({}, 1)
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
         print("begun", flush=True)

@@ -94,9 +94,9 @@ def test_elsewhere_it_is_the_markdown_itself(capsys):
 def test_a_log_gets_lines_and_no_carriage_returns(monkeypatch, capfd):
     monkeypatch.setattr(console, "SILENCE_S", 0)
     monkeypatch.setattr(console, "PATIENCE_S", 1e-9)
-    with console.progress_of(200, "episodes") as progress:
+    with console.progress_of(200, "episodes") as update:
         for done in (0, 20, 200):
-            progress.update(done)
+            update(done)
     said = capfd.readouterr().err
     shares = [line.partition(" [")[0] for line in said.splitlines()]
     assert shares == ["jexplore:  10%| 20/200 episodes", "jexplore: 100%| 200/200 episodes"]
@@ -104,9 +104,9 @@ def test_a_log_gets_lines_and_no_carriage_returns(monkeypatch, capfd):
 
 
 def test_quick_work_and_work_that_stands_still_say_nothing(capfd):
-    with console.progress_of(10, "maps") as progress:
-        for _ in range(10):
-            progress.step()
+    with console.progress_of(10, "maps") as update:
+        for done in range(1, 11):
+            update(done)
     assert capfd.readouterr().err == ""
 
 
@@ -114,18 +114,18 @@ def test_a_terminal_gets_a_bar(monkeypatch):
     screen = Screen()
     monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setattr(console, "PATIENCE_S", 0)
-    with console.progress_of(3, "maps") as progress:
-        for _ in range(3):
-            progress.step()
+    with console.progress_of(3, "maps") as update:
+        for done in range(1, 4):
+            update(done)
     assert "\r" in screen.getvalue()
     assert "maps/s" in screen.getvalue()
 
 
 def test_without_stderr_there_is_no_progress(monkeypatch, capsys):
     monkeypatch.setattr(sys, "stderr", None)
-    with console.progress_of(3, "maps") as progress:
-        progress.update(0)
-        progress.update(2)
+    with console.progress_of(3, "maps") as update:
+        update(0)
+        update(2)
     assert capsys.readouterr().out == ""
 
 

@@ -49,7 +49,7 @@ def test_the_near_end_is_found(algo, rounds, settings):
     own = bank.prepare_bank(toy(), lidar=NEAR, start="world")
     other = bank.prepare_bank(toy().replace(name="toy again"), lidar=NEAR, start="world")
     plan = training.prepare_training(
-        algo, "linear", own, other, settings, rounds=rounds, check_every=rounds // 2, patience=0, starts=1, seed=0
+        algo, "linear", own, other, settings, rounds=rounds, check_every=rounds // 2, starts=1, seed=0
     )
     found = training.run_training(plan)
     assert found.curve["ratio"].iloc[1:].notna().all()
@@ -59,7 +59,7 @@ def test_the_near_end_is_found(algo, rounds, settings):
 
 
 def quick_plan(rounds=4, **changes):
-    options = {"rounds": rounds, "check_every": 2, "patience": 0, "starts": 1, "seed": 0} | changes
+    options = {"rounds": rounds, "check_every": 2, "starts": 1, "seed": 0} | changes
     banks = (bank.prepare_bank(worlds, lidar=NEAR) for worlds in (SMALL, WATCHED))
     return training.prepare_training("es", "linear", *banks, QUICK, **options)
 
@@ -109,14 +109,6 @@ def test_weights_that_are_no_numbers_end_training_with_the_best_before(monkeypat
     assert found.ended == "not finite"
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found.model.weights))
     refused("before the first check", training.run_training, quick_plan(check_every=4))
-
-
-def test_patience():
-    found = training.run_training(quick_plan(40, check_every=1, patience=1))
-    checks = found.curve["validation"]
-    assert found.ended == "patience"
-    assert checks.iloc[-1] >= checks.iloc[:-1].min()
-    assert len(checks) < 41
 
 
 @pytest.mark.parametrize(
@@ -188,7 +180,7 @@ def test_training_as_a_function(tmp_path):
     # Training goes on where a model is, also with another network, which begins at its weighted sum.
     plan = training.prepare_training(
         "es", "attention", *(bank.prepare_bank(worlds, lidar=NEAR) for worlds in (SMALL, WATCHED)), QUICK,
-        rounds=1, check_every=1, patience=0, starts=1, seed=0, model=model.load_model(file),
+        rounds=1, check_every=1, starts=1, seed=0, model=model.load_model(file),
     )  # fmt: skip
     np.testing.assert_array_equal(plan.begins.weights["plain"], found.model.weights["weights"])
     again = jx.train(model=file, **options | {"rounds": 2, "check_every": 2})
@@ -199,7 +191,7 @@ def test_training_as_a_function(tmp_path):
 
 def test_models_that_training_cannot_begin_at(tmp_path):
     banks = [bank.prepare_bank(worlds, lidar=NEAR) for worlds in (SMALL, WATCHED)]
-    options = {"rounds": 1, "check_every": 1, "patience": 0, "starts": 1, "seed": 0}
+    options = {"rounds": 1, "check_every": 1, "starts": 1, "seed": 0}
     bad = model.Model("linear", {"weights": np.zeros(3, np.float32)})
     refused("have other names or shapes", training.prepare_training, "es", "linear", *banks, {}, model=bad, **options)
     refused("model must be a Model or the path of one, got int", jx.train, model=3, worlds=SMALL, validation=WATCHED)

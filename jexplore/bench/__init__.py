@@ -5,7 +5,6 @@
 
 import contextlib
 import functools
-import itertools
 import os
 import statistics
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -22,10 +21,8 @@ from jexplore.engine.runner import find_resources
 from jexplore.exploration.batch import Finished, Job, run_jobs
 from jexplore.exploration.results import path_m
 from jexplore.exploration.state import Outcome, Result
-from jexplore.policies import Strategy
-from jexplore.studies.checks import LIDAR, RULES, ready_starts, ready_strategies, ready_worlds, require_memory
-from jexplore.worlds.starts import draw_starts
-from jexplore.worlds.world import World, with_ring
+from jexplore.studies.checks import LIDAR, RULES, prepare_jobs
+from jexplore.worlds.world import World
 
 SEED = 0
 WORLDS, STRATEGIES, BATCHES, REPEAT = ("cave", "office", "hospital"), ("closest+recheck",), (1, 4, 16, 64), 5
@@ -38,8 +35,7 @@ REFILLS = 2  # episodes a lane at least, so that lanes are filled again
 class Agenda(NamedTuple):
     """Planned measurements."""
 
-    worlds: list[World]
-    strategies: list[Strategy]
+    jobs: list[Job]  # each with as many starts as the largest batch takes
     batches: Mapping[str, tuple[int, ...]]  # by engine
     repeat: int
 
@@ -63,16 +59,18 @@ def prepare_bench(
     if given is not None and (not given or len(set(given)) < len(given)):
         raise InputError(f"batch_sizes must be one or more different integers, got {given}")
     turns: int = require_setting("repeat", (QUICK_REPEAT if quick else REPEAT) if repeat is None else repeat)
-    ready = ready_strategies(STRATEGIES if strategies is None else strategies)
-    names = (QUICK_WORLDS if quick else WORLDS) if worlds is None else worlds
-    loaded = [with_ring(world) for world in ready_worlds(names, CELL_M)]
-    for world in loaded:
-        require_memory(world, LIDAR, RULES)
-        ready_starts(world, "random", 1, seed=SEED, rules=RULES)
     find_resources(in_lanes=False, workers=1)  # starts JAX; part is always measured on the CPU
     own = tuple(sorted(given)) if given else QUICK_BATCHES if quick else None
     batches = {name: own or (BATCHES_ACCELERATOR if has_lanes(name) else BATCHES) for name in engine or ENGINES}
-    return Agenda(loaded, ready, batches, turns)
+    names = (QUICK_WORLDS if quick else WORLDS) if worlds is None else worlds
+    most = max(episodes_of(name, size) for name, sizes in batches.items() for size in sizes)
+    how: Any = {"episodes": most, "seed": SEED, "cell_m": CELL_M, "start": "random", "lidar": LIDAR, "rules": RULES}
+    return Agenda(prepare_jobs(names, STRATEGIES if strategies is None else strategies, **how), batches, turns)
+
+
+def episodes_of(engine: str, batch: int) -> int:
+    """Return the number of episodes that are run in a batch."""
+    return REFILLS * batch if has_lanes(engine) else batch
 
 
 @contextlib.contextmanager
@@ -101,8 +99,8 @@ def run_bench(
     """
     with one_core() as pinned:
         settings = {
-            "worlds": [world.name for world in plan.worlds],
-            "strategies": [strategy.name for strategy in plan.strategies],
+            "worlds": list(dict.fromkeys(job.world.name for job in plan.jobs)),
+            "strategies": list(dict.fromkeys(job.strategy.name for job in plan.jobs)),
             "batches": plan.batches,
             "repeat": plan.repeat,
             "cached": cache,
@@ -112,20 +110,19 @@ def run_bench(
     report = {"environment": surroundings(), "settings": settings, "batches": []}
     wanted = [(engine, size) for engine, sizes in plan.batches.items() for size in sizes]
     with _compiling(cache):
-        for done, (world, strategy) in enumerate(itertools.product(plan.worlds, plan.strategies), start=1):
-            report["batches"] += measure_episodes(world, strategy, wanted, plan.repeat)
+        for done, job in enumerate(plan.jobs, start=1):
+            report["batches"] += measure_episodes(job, wanted, plan.repeat)
             on_progress(done)
     return report
 
 
-def measure_episodes(
-    world: World, strategy: Strategy, wanted: Sequence[tuple[str, int]], repeat: int
-) -> list[dict[str, Any]]:
-    """Time whole episodes in a world with a ring, in turns: a dict for each of `wanted`, pairs of engine and batch."""
-    counts = [REFILLS * batch if has_lanes(engine) else batch for engine, batch in wanted]
-    starts = draw_starts(world, SEED, max(counts), RULES.clearance_m)
+def measure_episodes(job: Job, wanted: Sequence[tuple[str, int]], repeat: int) -> list[dict[str, Any]]:
+    """Time whole episodes, in turns: a dict for each of `wanted`, pairs of engine and batch."""
+    counts = [episodes_of(engine, batch) for engine, batch in wanted]
     tasks = {
-        i: functools.partial(run_once, world, strategy, starts[:n], engine, batch if has_lanes(engine) else None)
+        i: functools.partial(
+            run_once, job._replace(starts=job.starts[:n]), engine, batch if has_lanes(engine) else None
+        )
         for i, ((engine, batch), n) in enumerate(zip(wanted, counts))
     }
     firsts = {i: task() for i, task in tasks.items()}  # compiles
@@ -133,12 +130,12 @@ def measure_episodes(
     equal = is_equal([found.outcomes[0].result for turns in runs.values() for found, _ in turns])
     rows = []
     for i, ((engine, batch), n) in enumerate(zip(wanted, counts)):
-        quality, costs = quality_of(firsts[i].outcomes[0].result, world.cell_m), firsts[i].costs
+        quality, costs = quality_of(firsts[i].outcomes[0].result, job.world.cell_m), firsts[i].costs
         took = {clock: [getattr(took, clock) / n for _, took in runs[i]] for clock in ("wall", "cpu")}
         seconds = statistics.median(took[speed_clock()])
         rows.append({
-            "world": world.name, "shape": list(world.shape), "strategy": strategy.name, "engine": engine,
-            "level": ", ".join(costs.levels[strategy.name]), "batch": batch, "episodes": n,
+            "world": job.world.name, "shape": list(job.world.shape), "strategy": job.strategy.name, "engine": engine,
+            "level": ", ".join(costs.levels[job.strategy.name]), "batch": batch, "episodes": n,
             "compile_s": costs.compile_s, "wall_s": median_and_min(took["wall"]), "cpu_s": median_and_min(took["cpu"]),
             "episodes_per_s": 1 / seconds, **{f"{k}_per_s": quality[k] / seconds for k in ("steps", "scans", "plans")},
             "quality": quality, "equal": equal,
@@ -146,9 +143,9 @@ def measure_episodes(
     return rows
 
 
-def run_once(world: World, strategy: Strategy, starts: np.ndarray, engine: str, lanes: int | None = None) -> Finished:
-    """Run episodes from some starts on one core, or in lanes."""
-    found = run_jobs([Job(world, strategy, starts, SEED)], LIDAR, RULES, engine=engine, lanes=lanes, workers=1)
+def run_once(job: Job, engine: str, lanes: int | None = None) -> Finished:
+    """Run episodes on one core, or in lanes."""
+    found = run_jobs([job], LIDAR, RULES, engine=engine, lanes=lanes, workers=1)
     if found.costs.interrupted:
         raise KeyboardInterrupt
     return found

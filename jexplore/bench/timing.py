@@ -52,11 +52,6 @@ def median_and_min(values: Collection[float]) -> dict[str, float]:
     return {"median": statistics.median(values), "min": min(values)}
 
 
-def ratio(numerators: Iterable[float], denominators: Iterable[float]) -> float:
-    """Return the median of the turn-by-turn ratios."""
-    return statistics.median(a / b for a, b in zip(numerators, denominators))
-
-
 def mean_and_se(values: Iterable[float]) -> dict[str, float | None]:
     """Return the mean and its standard error (None for one value), as a dict."""
     values = [float(v) for v in values]

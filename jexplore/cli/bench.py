@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 
-from jexplore.cli.options import IntegerList, Number, OutOptions, OwnNames, fields_of
+from jexplore.cli.options import OutOptions, fields_of
 from jexplore.cli.output.console import Out, progress_of
 
 
@@ -15,16 +15,16 @@ class Bench(OutOptions):
     Prints Markdown tables and writes bench.json and run.json. A quiet machine gives good figures.
     """
 
-    worlds: OwnNames = None
+    worlds: tuple[str, ...] | None = None
     """Run episodes in these worlds, named as for `jexplore compare` (default: cave office hospital)."""
-    strategies: OwnNames = None
+    strategies: tuple[str, ...] | None = None
     """Measure these strategies (default: closest+recheck)."""
-    batch_sizes: IntegerList = None
+    batch_sizes: tuple[int, ...] | None = None
     """Run this number of episodes, or of lanes of the engine jax on an accelerator (default: 1 4 16 64; up to 4096
     lanes)."""
-    engine: OwnNames = None
+    engine: tuple[str, ...] | None = None
     """Measure these engines: auto, jax or both, as for `jexplore compare` (default: both)."""
-    repeat: Number = None
+    repeat: int | None = None
     """Repetitions of every measurement (default: 5)."""
     quick: bool = False
     """Take smaller defaults: the cave, batches of 1 and 4, 2 turns."""
@@ -36,10 +36,10 @@ class Bench(OutOptions):
         from jexplore import bench
         from jexplore.bench import tables
 
-        with Out(self, "bench") as out:
+        with Out(self, arguments) as out:
             plan = bench.prepare_bench(**fields_of(self, "worlds strategies engine batch_sizes repeat quick"))
-            with progress_of(len(plan.worlds) * len(plan.strategies), "measurements") as progress:
-                progress.update(0)
-                report = bench.run_bench(plan, cache=self.cache, on_progress=progress.update)
-            record = out.record(arguments, self, measured=report["settings"])
+            with progress_of(len(plan.jobs), "measurements") as update:
+                update(0)
+                report = bench.run_bench(plan, cache=self.cache, on_progress=update)
+            record = out.record(measured=report["settings"])
             return out.finish(record, {"bench.json": report}, tables.bench_tables(report))

@@ -2,27 +2,24 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Literal
 
-import tyro
+from tyro.conf import Positional
 
-from jexplore.cli.options import ResumeOptions, RobotOptions, fields_of
+from jexplore.cli.options import ResumeOptions, RobotOptions, WorkerOptions, fields_of
 from jexplore.cli.output.console import Out, note_if_slow, working
-from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError
-
-WorldNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="WORLD [WORLD ...]", help_behavior_hint="(required)")]
 
 
 @dataclasses.dataclass(frozen=True)
-class Bound(ResumeOptions, RobotOptions):
+class Bound(WorkerOptions, ResumeOptions, RobotOptions):
     """Find how short a robot that knows the map could have driven: what there is to gain for any strategy.
 
     For each start a walk on which everything is seen, and bounds below which none is. Prints a table and writes
     bounds.parquet, walks.parquet, bounds.png and run.json.
     """
 
-    worlds: tyro.conf.Positional[WorldNames] = ()
+    worlds: Positional[tuple[str, ...]] = ()
     """Worlds, as for `jexplore compare`."""
     starts: int = 5
     """Number of starts to bound in each world: those of the first episodes of `jexplore compare`."""
@@ -30,24 +27,19 @@ class Bound(ResumeOptions, RobotOptions):
     """Draw the starts from this seed."""
     seconds: float = 10.0
     """Seconds spent on each start, compiling apart."""
-    max_floods: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None
+    max_floods: int | None = None
     """Number of shortest-path maps spent on each start instead of seconds: then results are the same everywhere."""
-    cell_m: float = 0.1
-    """Make the edge of a cell this long, in metres."""
     start: Literal["random", "world"] = "random"
     """Draw the starts from the seed, or take every world's own start."""
-    workers: int | None = None
-    """Number of cores; by default all that this process may use."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
         from jexplore.report import store
         from jexplore.studies.bounds import bound
-        from jexplore.studies.results.provenance import describe_world
 
         if not self.worlds:
             raise InputError("expected worlds: jexplore bound cave maze#3")
-        with Out(self, "bound") as out:
+        with Out(self, arguments) as out:
             with note_if_slow("jexplore: loading worlds"):
                 tasks = bound.prepare_bounds(
                     self.worlds, **fields_of(self, "starts seed cell_m start seconds max_floods lidar rules")
@@ -55,12 +47,11 @@ class Bound(ResumeOptions, RobotOptions):
             ledger = out.keep(bound.asked_of_bounds(tasks), len(tasks))
             if ledger is None:
                 table = store.read_parquet(out.run.path / "bounds.parquet")
-                show_table(bound.bounds_table(table))
-                return out.draw_missing()
+                return out.finish({}, {}, bound.bounds_table(table))
             with working(len(tasks), "starts") as on_progress:
                 found = bound.run_bounds(tasks, ledger=ledger, workers=self.workers, on_progress=on_progress)
             entries = {"interrupted": found.interrupted, "settings": found.settings}
-            record = out.record(arguments, self, **entries, worlds=[describe_world(world) for world in found.worlds])
+            record = out.record(**entries, worlds=found.worlds)
             files = {"bounds.parquet": found.table, "walks.parquet": found.walks}
             pictures = {"bounds.png": found.figure}
             return out.finish(record, files, found.to_markdown(), pictures, interrupted=found.interrupted > 0)

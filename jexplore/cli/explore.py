@@ -1,9 +1,11 @@
 """The command `jexplore explore`."""
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
+from typing import Any
 
-from jexplore.cli.options import OneStrategy, OneWorld, ReportOptions, SceneOptions, fields_of
+from jexplore.cli.options import ReportOptions, SceneOptions, fields_of
 from jexplore.cli.output.console import COMPILING, Out, note_if_slow, progress_of
 
 
@@ -15,9 +17,9 @@ class Explore(ReportOptions, SceneOptions):
     end, for ROS's map_server), report.html and run.json. The episode is that of a comparison with the same options.
     """
 
-    world: OneWorld = "cave"
+    world: str = "cave"
     """Explore this world: a generator's name such as cave#3, or a map file; see `jexplore worlds`."""
-    strategy: OneStrategy = "closest+recheck"
+    strategy: str = "closest+recheck"
     """Explore by this strategy; see `jexplore strategies`."""
     seed: int = 0
     """Draw the start and all that is random from this seed."""
@@ -25,7 +27,7 @@ class Explore(ReportOptions, SceneOptions):
     """Run the episode of this number, from 0, of a comparison with the same options."""
     robots: int | None = None
     """Explore with a team of this size, up to 16 robots."""
-    coordination: OneStrategy = "independent"
+    coordination: str = "independent"
     """Have the team choose targets in this way: see compare."""
     frames: int = 300
     """Most frames of the animation, evenly spaced."""
@@ -34,9 +36,8 @@ class Explore(ReportOptions, SceneOptions):
         """Run the command and return the exit status, None for 0."""
         from jexplore.studies.explore import prepare_job, run_job
         from jexplore.studies.replays import why_no_replay
-        from jexplore.studies.results.provenance import describe_world
 
-        with Out(self, "explore") as out:
+        with Out(self, arguments) as out:
             job = prepare_job(
                 self.world,
                 self.strategy,
@@ -46,8 +47,8 @@ class Explore(ReportOptions, SceneOptions):
             with note_if_slow(COMPILING):
                 found = run_job(job)
             measures = {"world": found.world.name, "strategy": found.strategy, **found.measures}
-            times = {"compile_s": found.compile_s, "run_s": found.run_s}
-            record = out.record(arguments, self, result=measures, worlds=[describe_world(found.world)], **times)
+            times: dict[str, Any] = {"compile_s": found.compile_s, "run_s": found.run_s}
+            record = out.record(result=measures, worlds=[found.world], **times)
             lines = [f"{name:<18} {_text(value)}" for name, value in measures.items()]
             if not found.can_be_replayed:
                 lines.append(f"warning: {why_no_replay(found.rules)}: no animation")
@@ -61,8 +62,9 @@ class Explore(ReportOptions, SceneOptions):
         from jexplore.worlds.readers.ros import write_ros
 
         def animation(path):
-            with progress_of(min(found.measures["steps"] + 1, self.frames), "frames") as progress:
-                found.save_gif(path, max_frames=self.frames, on_progress=progress.step)
+            with progress_of(min(found.measures["steps"] + 1, self.frames), "frames") as update:
+                drawn = itertools.count(1)
+                found.save_gif(path, max_frames=self.frames, on_progress=lambda _: update(next(drawn)))
 
         def page(path):
             replays = [found.replay] if found.can_be_replayed else []

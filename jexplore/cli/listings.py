@@ -4,29 +4,27 @@ import dataclasses
 import functools
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-import tyro
+from tyro.conf import Positional
 
-from jexplore.cli.options import OutOptions
+from jexplore.cli.options import CellOptions, OutOptions
 from jexplore.cli.output.console import Out, note_if_slow, working
 from jexplore.cli.output.terminal import show_line, show_table
 from jexplore.config import InputError, require_number
 
 
 @dataclasses.dataclass(frozen=True)
-class Worlds(OutOptions):
+class Worlds(OutOptions, CellOptions):
     """List the built-in worlds, or measure and picture some.
 
     Without names, --geometry and --out, it lists the generators and what they take. Otherwise it prints a table of the
     worlds named, by default of every generator, and writes worlds.png.
     """
 
-    worlds: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="[NAME ...]")] = ()
+    worlds: Positional[tuple[str, ...]] = ()
     """Measure these worlds: generators such as cave#3, or map files: map.yaml (ROS), map.png@16x16 (metres),
     map.png@0.05 (metres a pixel), plan.json (HouseExpo), scans.log (CARMEN), run.bag (ROS)."""
-    cell_m: float = 0.1
-    """Make the edge of a cell this long, in metres."""
     geometry: bool = False
     """Also measure rooms, openings, corridors, ways round and furniture; rooms that are not known are found first."""
     clearance_m: float = 0.30
@@ -50,38 +48,34 @@ class Worlds(OutOptions):
             )
             return None
         from jexplore.engine.backend import use_compilation_cache
-        from jexplore.report import plot
+        from jexplore.report.plots import maps
         from jexplore.report.tables import aligned_table
         from jexplore.studies.checks import ready_worlds
         from jexplore.studies.geometry import geometry, geometry_table
-        from jexplore.studies.results.provenance import describe_world
         from jexplore.worlds.regions import warn_of_floor
         from jexplore.worlds.starts import start_region
 
-        with Out(self, "worlds") as out:
+        with Out(self, arguments) as out:
             require_number("clearance_m", self.clearance_m, high=100)
             with note_if_slow("jexplore: loading worlds"):
                 worlds = ready_worlds(self.worlds or tuple(GENERATORS), self.cell_m)
             for world in worlds:
                 warn_of_floor(world, start_region(world, self.clearance_m), self.clearance_m, drawn=True)
-            described = [describe_world(world) for world in worlds]
-            rows = []
-            for world, about in zip(worlds, described):
+            record, rows, measured = out.record(worlds=worlds), [], []
+            for world, about in zip(worlds, record["worlds"]):
                 height, width = world.shape
                 start = "-" if world.start is None else "{},{},{}".format(*world.start)
                 size = f"{width * world.cell_m:.1f} x {height * world.cell_m:.1f}"
                 n_rooms = "-" if about["rooms"] is None else str(about["rooms"])
                 rows.append((world.name, f"{width} x {height}", size, f"{world.free_m2:.1f}", n_rooms, start))
-            measured = []
             if self.geometry:
                 use_compilation_cache()
                 with working(len(worlds), "worlds") as on_progress:
-                    for world, about in zip(worlds, described):
+                    for world, about in zip(worlds, record["worlds"]):
                         measured.append(geometry(world, clearance_m=self.clearance_m))
                         about["geometry"] = dataclasses.asdict(measured[-1])
                         on_progress(len(measured))
-            record = out.record(arguments, self, worlds=described)
-            figure = functools.partial(plot.worlds_figure, [(world.name, world) for world in worlds])
+            figure = functools.partial(maps.worlds_figure, [(world.name, world) for world in worlds])
             left = ["world", "cells", "metres", "free m²", "rooms", "start"]
             text = aligned_table(left, rows, left=left)
             text += f"\n{geometry_table(measured)}" if measured else ""
@@ -115,16 +109,14 @@ class LeagueCommand:
     worlds, starts, settings and version, and writes a file for each of its strategies that is not entered yet.
     """
 
-    action: Annotated[tyro.conf.Positional[Literal["show", "submit"]], tyro.conf.arg(metavar="[show | submit]")] = (
-        "show"
-    )
+    action: Positional[Literal["show", "submit"]] = "show"
     """Show the standings, or submit a run."""
-    run: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[RUN]")] = None
+    run: Positional[Path | None] = None
     """Folder of results to submit."""
     name: str = "exploration-240"
     """Name of the league."""
-    entries: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: leagues/NAME)")] = None
-    """Folder of the entries."""
+    entries: Path | None = None
+    """Folder of the entries; by default leagues/NAME."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""

@@ -13,20 +13,18 @@ from collections.abc import Sequence
 
 from jexplore.cli.bench import Bench
 from jexplore.cli.bound import Bound
-from jexplore.cli.compare import Compare
+from jexplore.cli.compare import Compare, Reproduce
 from jexplore.cli.explore import Explore
 from jexplore.cli.listings import LeagueCommand, Strategies, Worlds
 from jexplore.cli.options import check_numbers, help_text, parse_options
 from jexplore.cli.output.console import INTERRUPTED, say
 from jexplore.cli.output.signals import Signals
 from jexplore.cli.output.terminal import plain_warnings
-from jexplore.cli.reproduce import Reproduce
 from jexplore.cli.segment import Segment
 from jexplore.cli.slam import Slam
 from jexplore.cli.sweep import Merge, SweepCommand
-from jexplore.cli.tracemaps.merge_maps import MergeMaps
+from jexplore.cli.tracemaps.joining import MergeMaps, Station
 from jexplore.cli.tracemaps.route import RouteCommand
-from jexplore.cli.tracemaps.station import Station
 from jexplore.cli.tracemaps.trace import Trace
 from jexplore.cli.train import Train, Tune
 from jexplore.config import InputError, __version__

@@ -47,34 +47,12 @@ def default_worlds() -> tuple[str, ...]:
     return ("cave", "maze") if is_small() else ("cave", "office", "hospital")
 
 
-IntegerList = Annotated[tuple[int, ...] | None, tyro.conf.arg(metavar="N [N ...]", help_behavior_hint="")]
-Number = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")]
-OwnNames = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")]
-MetricNames = Annotated[
-    tuple[str, ...] | None, tyro.conf.arg(metavar="MODULE:FUNCTION [MODULE:FUNCTION ...]", help_behavior_hint="")
-]
-OneWorld = Annotated[str, tyro.conf.arg(metavar="WORLD")]
-OneStrategy = Annotated[str, tyro.conf.arg(metavar="STRATEGY")]
-OwnModel = Annotated[str | None, tyro.conf.arg(metavar="MODEL", help_behavior_hint="(default: closest)")]
-ContactText = Annotated[str, tyro.conf.arg(metavar="CONTACT")]
-MemberTexts = Annotated[tuple[str, ...], tyro.conf.arg(metavar="ROBOT [ROBOT ...]", help_behavior_hint="")]
-StartsText = Annotated[tuple[str, ...], tyro.conf.arg(metavar="START [START ...]", help_behavior_hint="")]
-StartText = Annotated[str, tyro.conf.arg(metavar="START")]
-PolygonText = Annotated[str | None, tyro.conf.arg(metavar="CORNERS")]
-MapFile = Annotated[str | None, tyro.conf.arg(metavar="MAP.yaml")]
-TunedFile = Annotated[str | None, tyro.conf.arg(metavar="FILE")]
-OutFolder = Annotated[
-    str | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: runs/<UTC time>-<command>)")
-]
-EngineName = Literal["auto", "jax"]
-
-
 @dataclasses.dataclass(frozen=True)
 class OutOptions:
     """Options of commands that write a folder."""
 
-    out: OutFolder = None
-    """Write into this folder."""
+    out: str | None = None
+    """Write into this folder; by default runs/<UTC time>-<command>."""
     overwrite: bool = False
     """Replace the run that the folder holds."""
 
@@ -105,20 +83,35 @@ class TrustOptions(OutOptions):
 
 
 @dataclasses.dataclass(frozen=True)
-class EngineOptions:
-    """Options of commands that run many episodes."""
+class WorkerOptions:
+    """Options of commands that compute on many cores."""
 
-    engine: EngineName = "auto"
-    """Run episodes in native code where possible, on a GPU or a CPU, and in JAX for the rest (auto), or in JAX alone,
-    on a GPU if available (jax). The results are equal."""
-    lanes: int | None = None
-    """With --engine jax on a GPU, run this number of episodes at a time; by default as many as its memory holds."""
     workers: int | None = None
-    """Run episodes on this number of cores, one each; by default on all that this process may use."""
+    """Compute on this number of cores; by default on all that this process may use."""
 
 
 @dataclasses.dataclass(frozen=True)
-class RobotOptions:
+class EngineOptions(WorkerOptions):
+    """Options of commands that run many episodes, or runs of a trace."""
+
+    engine: Literal["auto", "jax"] = "auto"
+    """Run episodes in native code where possible, on a GPU or a CPU, and in JAX for the rest (auto), or in JAX alone,
+    on a GPU if available (jax). The results are equal. Trace runs are in JAX, on a CPU unless it is alone, and equal
+    but for rounding."""
+    lanes: int | None = None
+    """With --engine jax on a GPU, run this number of episodes at a time; by default as many as its memory holds."""
+
+
+@dataclasses.dataclass(frozen=True)
+class CellOptions:
+    """Options of commands that make worlds."""
+
+    cell_m: float = 0.1
+    """Make the edge of a cell this long, in metres."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RobotOptions(CellOptions):
     """Options of the scanner and the rules."""
 
     lidar: Lidar = dataclasses.field(default_factory=Lidar)
@@ -136,25 +129,23 @@ class TimedOptions(RobotOptions):
 class SceneOptions(TimedOptions):
     """Options of where episodes happen, and of teams."""
 
-    cell_m: float = 0.1
-    """Make the edge of a cell this long, in metres."""
-    start: StartText = "random"
+    start: str = "random"
     """Start where the seed says (random), at the world's own start (world), in a cell (12,30,90: row, column, heading
     in degrees) or at a point of the map's frame in metres (2.0m,1.5m,90: x, y, yaw in degrees; 1.57rad: in radians)."""
-    within: PolygonText = None
+    within: str | None = None
     """Have robots stay within a polygon, corners x,y in metres of the map's frame ('0,0 5,0 5,4'). Beams pass its
     edge; what lies outside is not to be explored."""
-    from_map: MapFile = None
+    from_map: str | None = None
     """Go on from a partial map of the same cells, such as explored.yaml of `jexplore explore`: what it shows is known
     from the beginning, and drawn starts lie where it shows free floor."""
-    contact: ContactText = "all"
+    contact: str = "all"
     """Whom a robot hears: all, none, those within a distance (range:4, in metres) or in sight (line-of-sight, or within
     a distance line-of-sight:4), and whom they hear; with ,delay=10 a link must have held for ten steps, with ,loss=0.2
     it fails a fifth of the time."""
-    team_starts: StartsText = ("together",)
+    team_starts: tuple[str, ...] = ("together",)
     """Start all robots next to the first (together), far from each other (apart), or in these cells (12,30,90 12,31,90:
     row, column, heading in degrees)."""
-    members: MemberTexts = ()
+    members: tuple[str, ...] = ()
     """Give the robots different paces and scanners: a text for each robot of the largest team, such as pace=2 (a step
     takes twice the time), range=3 (its scanner reaches 3 m) or pace=2,range=3."""
 
@@ -312,6 +303,8 @@ def _records(info: StructTypeInfo) -> StructConstructorSpec | None:
             default = field.default_factory()
         text = field.metadata.get("off") if default is True else None
         how: Any = {"prefix_name": False} if field.metadata.get("short") else {}
+        if metavar := metavar_of(field.name, hints[field.name]):
+            how["metavar"] = metavar
         fields.append(
             StructFieldSpec(
                 name=field.name,
@@ -321,6 +314,13 @@ def _records(info: StructTypeInfo) -> StructConstructorSpec | None:
             )
         )
     return StructConstructorSpec(instantiate=kind, fields=tuple(fields))
+
+
+def metavar_of(name: str, hint: Any) -> str | None:
+    """Return what stands for the value of an option in its help: its own name for texts, None for one number."""
+    kinds = str(typing.get_args(hint)[0] if typing.get_origin(hint) is Annotated else hint)
+    word = name.strip("_").upper() if "str" in kinds else "N"
+    return f"{word} [{word} ...]" if "..." in kinds else word if "str" in kinds else None
 
 
 def _hints(kind):

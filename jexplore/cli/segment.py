@@ -3,9 +3,8 @@
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import Annotated
 
-import tyro
+from tyro.conf import Positional
 
 from jexplore.cli.options import OutOptions, fields_of
 from jexplore.cli.output.console import Out, working
@@ -19,13 +18,13 @@ class Segment(OutOptions):
     Prints a Markdown table of scores a variant and writes segments.png, scores.parquet and run.json.
     """
 
-    maps: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="MAP [MAP ...]")] = ()
+    maps: Positional[tuple[str, ...]] = ()
     """Divide these maps, named as for `jexplore worlds`: map.png@0.05 (metres a pixel), map.yaml, or generators such as
     office#3."""
-    truth: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="GT [GT ...]", help_behavior_hint="")] = None
+    truth: tuple[str, ...] | None = None
     """Score against these pictures of the maps with doorways closed by lines, in the same order and size. Generators
     know their rooms."""
-    variant: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")] = ("voronoi",)
+    variant: tuple[str, ...] = ("voronoi",)
     """Divide by these variants: voronoi (default: the best on maps that it was not chosen on), distance, morphological,
     maoris, or those of the paper: thrun, wurm, holz."""
     partial: bool = False
@@ -53,18 +52,18 @@ class Segment(OutOptions):
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
         from jexplore.engine.backend import use_compilation_cache
-        from jexplore.report.plot_rooms import rooms_figure
+        from jexplore.report.plots.maps import rooms_figure
         from jexplore.studies.room_variants import RoomSettings
         from jexplore.studies.segmentation import SHARES, segment_maps
 
-        with Out(self, "segment") as out:
+        with Out(self, arguments) as out:
             if not self.maps:
                 raise InputError("expected a map: map.png@0.05 (metres a pixel), map.yaml, or a generator: office#3")
             use_compilation_cache()
             with working(len(self.maps) * (1 + len(SHARES) * self.partial), "maps") as on_progress:
                 how = fields_of(self, " ".join(("truth partial cell_m seed", *RoomSettings._fields)))
                 found = segment_maps(self.maps, variants=self.variant, **how, on_progress=on_progress)
-            record = out.record(arguments, self, scores=found.scores.to_dict("records"))
+            record = out.record(scores=found.scores.to_dict("records"))
             figure = functools.partial(rooms_figure, found.pictures, found.scores)
             files = {"scores.parquet": found.scores, "segments.png": figure}
             text = found.to_markdown()

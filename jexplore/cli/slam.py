@@ -2,9 +2,8 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Annotated
 
-import tyro
+from tyro.conf import Positional
 
 from jexplore.cli.options import OutOptions, fields_of
 from jexplore.cli.output.console import Out, working
@@ -20,19 +19,19 @@ class Slam(OutOptions):
     (the map by odometry and the map found), errors.parquet and run.json.
     """
 
-    log: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="LOG")] = ""
+    log: Positional[str] = ""
     """A CARMEN log (.log, .clf, or packed, .log.gz), or a rosbag with laser scans and odometry (.bag, .db3, .mcap)."""
     closing: bool = True
     """Recognise places and correct the way by what they tell."""
     cell_m: float = 0.05
     """Make the edge of a cell of the map this long, in metres."""
-    max_range_m: Annotated[float | None, tyro.conf.arg(metavar="M", help_behavior_hint="")] = None
+    max_range_m: float | None = None
     """Readings of a CARMEN log of this or more mean that nothing was seen, in metres; by default found in the log."""
-    topic: Annotated[str | None, tyro.conf.arg(metavar="TOPIC", help_behavior_hint="")] = None
+    topic: str | None = None
     """Take the scans of a rosbag from this topic."""
-    odometry_topic: Annotated[str | None, tyro.conf.arg(metavar="TOPIC", help_behavior_hint="")] = None
+    odometry_topic: str | None = None
     """Take the odometry of a rosbag from this topic."""
-    relations: Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    relations: str | None = None
     """Also give the errors against this file of relations, lines of t1 t2 x y z roll pitch yaw."""
     relations_offset_s: float = 0.0
     """The times in that file have this much more than the log's, in seconds."""
@@ -49,7 +48,7 @@ class Slam(OutOptions):
 
         if not self.log:
             raise InputError("expected a log: robot.log, robot.log.gz, run.bag")
-        with Out(self, "slam") as out:
+        with Out(self, arguments) as out:
             log = read_log(self.log, **fields_of(self, "max_range_m topic odometry_topic"))
             use_compilation_cache()
             with working(len(log.ranges), "scans") as on_progress:
@@ -62,7 +61,7 @@ class Slam(OutOptions):
             free, known = (np.asarray(mask) for mask in (is_free(drawn.grid, 0.25), is_known(drawn.grid)))
             occupancy = np.select([~known, free], [-1, 0], 100)
             errors = found.errors.to_dict("records")
-            record = out.record(arguments, self, errors=errors, ate_m=found.ate_m, loops=len(found.loops))
+            record = out.record(errors=errors, ate_m=found.ate_m, loops=len(found.loops))
             files = {
                 "trajectory.txt": found.trajectory(),
                 "map.yaml": lambda path: write_ros(occupancy, path, cell_m=drawn.cell_m, origin_m=drawn.origin_m),

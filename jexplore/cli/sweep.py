@@ -4,20 +4,18 @@ import dataclasses
 import os
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import tyro
+from tyro.conf import Positional
 
 from jexplore.cli.compare import FINISHING
 from jexplore.cli.options import EngineOptions, ReportOptions, ResumeOptions, TrustOptions, fields_of
 from jexplore.cli.output.console import Out, note_if_slow, working
-from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError
 
 if TYPE_CHECKING:
     from jexplore.studies.sweeps.run import SweepResult
 
-Folders = Annotated[tuple[str, ...], tyro.conf.arg(metavar="DIR [DIR ...]", help_behavior_hint="(required)")]
 PRINTED_ROWS = 24  # of the summary
 REPORTED_ROWS = 200  # of the summary, on the page
 
@@ -32,15 +30,16 @@ class SweepCommand(EngineOptions, ReportOptions, ResumeOptions, TrustOptions):
     run.json and sweep.png. Finished units are stored on the way: --resume continues a run that was ended in any way.
     """
 
-    spec: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SPEC.yaml", help_behavior_hint="(required)")] = ""
+    spec: Positional[str] = ""
     """File with the varied settings."""
     dry_run: bool = False
     """Only say how much work it is: episodes, units, compiled programs."""
-    shard: Annotated[str | None, tyro.conf.arg(metavar="I/N", help_behavior_hint="")] = None
-    """Make only part I of N (1/4 to 4/4), each in a folder of its own; `jexplore merge` puts the parts together."""
+    shard: str | None = None
+    """Make only part I/N (1/4 to 4/4), each in a folder of its own; `jexplore merge` puts the parts together."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
+        from jexplore.studies.results.loading import load, run_record
         from jexplore.studies.sweeps import plan as plans
         from jexplore.studies.sweeps.run import run_sweep
         from jexplore.studies.sweeps.spec import read_spec
@@ -56,16 +55,18 @@ class SweepCommand(EngineOptions, ReportOptions, ResumeOptions, TrustOptions):
         if self.dry_run:
             print("\n".join(plans.summary_lines(plan, numbers)))
             return 0
-        with Out(self, "sweep") as out:
+        with Out(self, arguments) as out:
             ledger = out.keep(plan.asked(shard), lambda n: len(plan.after(n).units), shard)
             if ledger is None:
-                return _show_finished(out, plan if self.report else None)
+                found = load(out.run.path)
+                text, pictures = found.to_markdown(PRINTED_ROWS), _pictures(out, found, run_record(out.run.path), plan)
+                return out.finish({}, {}, text, pictures)
             total = sum(plan.size(number) for number in numbers)
             how = fields_of(self, "engine lanes workers")
             with working(total, "episodes") as on_progress:
                 found = run_sweep(plan, ledger=ledger, shard=shard, **how, on_progress=on_progress)
             with note_if_slow(FINISHING):
-                return _finish(out, found, arguments, self, plan)
+                return _finish(out, found, plan)
 
 
 def shard_of(text: str | None) -> tuple[int, int] | None:
@@ -78,22 +79,13 @@ def shard_of(text: str | None) -> tuple[int, int] | None:
     return int(match[1]) - 1, int(match[2])
 
 
-def _show_finished(out, plan):
-    """Print the results of a finished sweep for `--resume`, and draw missing pictures."""
-    from jexplore.studies.results.loading import load, run_record
-
-    found = load(out.run.path)
-    show_table(found.to_markdown(PRINTED_ROWS))
-    return out.draw_missing(_pictures(found, run_record(out.run.path), plan))
-
-
-def _pictures(found, record, plan):
-    """Return pictures of a sweep and, with a plan, its page: name -> content."""
+def _pictures(out, found, record, plan):
+    """Return pictures of a sweep and its page: name -> content."""
     from jexplore.studies.results.saving import pictures_of
     from jexplore.studies.sweeps.run import labels_of
 
     jobs, labels = None, ()
-    if plan is not None and not found.missing:
+    if out.options.report and not found.missing:
         jobs, settings = zip(*plan.first_jobs())
         labels = labels_of(settings)
     rows = len(found.summary)
@@ -101,32 +93,28 @@ def _pictures(found, record, plan):
     return pictures_of(found.figures(), record, lambda: [(heading, found.table(REPORTED_ROWS))], jobs, labels=labels)
 
 
-def _finish(out: Out, found: "SweepResult", arguments: Sequence[str], options: Any, plan: Any, **entries: Any) -> int:
+def _finish(out: Out, found: "SweepResult", plan: Any, **entries: Any) -> int:
     """Write, print and draw; return the exit status."""
     from jexplore.arrays.plain_yaml import dump
-    from jexplore.studies.results.provenance import describe_world, engine_of
     from jexplore.studies.sweeps.spec import plain_spec
 
     costs = found.costs
     ran = len(found.episodes) - found.resumed
     record = out.record(
-        arguments,
-        options,
         episodes_per_s=ran / costs.run_s if costs.run_s else None,
-        **fields_of(costs, "compile_s run_s"),
-        **engine_of(costs),
+        costs=costs,
         interrupted=found.missing,
         resumed=found.resumed,
         columns=found.columns,
         reference=found.reference,
-        worlds=[describe_world(plan.world(*key)) for key in plan.shapes],
+        worlds=[plan.world(*key) for key in plan.shapes],
         **entries,
     )
     spec = dump(plain_spec(found.spec))
     files = {"episodes.parquet": found.episodes, "summary.csv": found.summary, "asked.yaml": spec}
     text = found.to_markdown(PRINTED_ROWS)
     text += f"warning: {found.missing} episodes are missing\n" if found.missing else ""
-    pictures = _pictures(found, record, plan if options.report else None)
+    pictures = _pictures(out, found, record, plan)
     return out.finish(record, files, text, pictures, interrupted=found.missing > 0)
 
 
@@ -142,7 +130,7 @@ class Merge(ReportOptions, TrustOptions):
     Writes what the sweep as a whole would have written.
     """
 
-    parts: tyro.conf.Positional[Folders] = ()
+    parts: Positional[tuple[str, ...]] = ()
     """Folders of all the parts."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
@@ -154,8 +142,8 @@ class Merge(ReportOptions, TrustOptions):
             part = next((part for part in self.parts if _real(part) == folder), None)
             if part is not None:
                 raise InputError(f"--out {self.out} must be a folder of its own, got that of the part {part}")
-        with Out(self, "sweep") as out:
+        with Out(self, arguments, "sweep") as out:
             with note_if_slow("jexplore: reading the parts"):
                 found, plan = merge(self.parts, trust=self.trust)
             out.asked, out.units = {"command": "sweep", **plan.asked()}, len(plan.units)
-            return _finish(out, found, arguments, self, plan, parts=self.parts)
+            return _finish(out, found, plan, parts=self.parts)

@@ -1,8 +1,4 @@
-"""`Decisions` for brax: an environment, its own way of beginning anew, a distribution over slots, and a shim.
-
-brax's `AutoResetWrapper` goes back to the first state of every lane, so to the same world and the same start for ever;
-`RenewWrapper` draws another. Importing this takes seconds.
-"""
+"""`Decisions` for brax: an environment of lanes, a distribution over slots, a shim. Importing this takes seconds."""
 
 import contextlib
 import io
@@ -32,7 +28,7 @@ def quietly() -> Iterator[None]:
 
 with quietly():
     from brax.envs.base import Env, State, Wrapper
-    from brax.envs.wrappers.training import EpisodeWrapper, VmapWrapper
+    from brax.envs.wrappers.training import EpisodeWrapper
     from brax.training.distribution import IdentityPostprocessor, ParametricDistribution
 
 REMOVED = "device_put_replicated"  # of JAX
@@ -73,27 +69,48 @@ def unflat(observation: Array) -> Told:
     return Told(both[..., :-1], both[..., -1] > 0)
 
 
-class BraxDecisions(Env):
-    """An environment of brax over `Decisions`. An action is a slot, int32."""
+class Lanes(Env):
+    """`Decisions` in lanes, an environment of brax. A lane whose episode is over begins anew, from a start drawn then.
+
+    Actions are slots, `[n]` int32. Keys are legacy ones, as brax has them.
+    """
 
     def __init__(self, decisions: Decisions) -> None:
         self.decisions = decisions
 
     def reset(self, rng: Array) -> State:
-        """See `Decisions.reset`; `rng` may be a legacy key, as brax has them."""
-        state, told = self.decisions.reset(_typed(rng))
-        zero = jnp.zeros((), jnp.float32)
-        whole: Any = state  # brax says that this is a state of its physics, and takes any pytree
-        return State(
-            whole, flat(told), zero, state.is_over.astype(jnp.float32), {"invalid": zero, "overflow": zero}, {}
-        )
+        """Begin an episode in every lane, see `Decisions.reset`; one key each: `[n, 2]` uint32."""
+        use, following = jnp.moveaxis(jax.vmap(jax.random.split)(rng), 1, 0)
+        begun, told = jax.vmap(self._begun)(use)
+        zero = jnp.zeros(len(rng), jnp.float32)
+        whole: Any = begun  # brax says that this is a state of its physics, and takes any pytree
+        metrics = {"invalid": zero, "overflow": zero}
+        return State(whole, flat(told), zero, begun.is_over.astype(jnp.float32), metrics, {"key": following})
 
     def step(self, state: Any, action: Array) -> State:
-        """See `Decisions.step`. Metrics: `invalid`, 1 where the action was an unused slot; `overflow`."""
-        now, told, reward, done, info = self.decisions.step(state.pipeline_state, action.astype(jnp.int32))
+        """Make a step of every lane, see `Decisions.step`.
+
+        At the end of an episode `done` and `reward` are those of its last step, the observation the first of the next
+        one. Metrics: `invalid`, 1 where the action was an unused slot; `overflow`.
+        """
+
+        def step(now, key, slot):
+            now, told, reward, done, info = self.decisions.step(now, slot)
+
+            def anew(_):
+                following, use = jax.random.split(key)
+                return following, *self._begun(use)
+
+            return *run_if(done, anew, (key, now, told)), reward, done, info
+
+        slots = action.astype(jnp.int32)
+        key, now, told, reward, done, info = jax.vmap(step)(state.pipeline_state, state.info["key"], slots)
         metrics = {"invalid": 1.0 - info["valid"], "overflow": info["overflow"].astype(jnp.float32)}
-        done = done.astype(jnp.float32)
-        return state.replace(pipeline_state=now, obs=flat(told), reward=reward, done=done, metrics=metrics)
+        new = {"pipeline_state": now, "obs": flat(told), "reward": reward, "done": done.astype(jnp.float32)}
+        return state.replace(**new, metrics=metrics, info={**state.info, "key": key})
+
+    def _begun(self, key):
+        return self.decisions.reset(jax.random.wrap_key_data(key))
 
     @property
     def observation_size(self) -> int:
@@ -111,50 +128,10 @@ class BraxDecisions(Env):
         return "none"
 
 
-class RenewWrapper(Wrapper):
-    """Begins lanes anew whose episode is over, each from a start drawn then.
-
-    It goes around `EpisodeWrapper(VmapWrapper(...))`.
-    """
-
-    def reset(self, rng: Array) -> State:
-        """Reset the lanes; one legacy key each, as brax has them: `[n, 2]` uint32."""
-        both = jax.vmap(lambda key: jax.random.split(key))(rng)
-        state = self.env.reset(both[:, 0])
-        state.info["key"] = both[:, 1]
-        return state
-
-    def step(self, state: Any, action: Array) -> State:
-        """Make a step of every lane.
-
-        At the end of an episode, `done` and `reward` are those of its last step, the observation the first of the next
-        one.
-        """
-        keys, over = state.info["key"], state.done
-        state.info["steps"] = jnp.where(over > 0, 0.0, state.info["steps"])
-        state = self.env.step(state.replace(done=jnp.zeros_like(over)), action)
-
-        def renewed(done, key, now, obs):
-            def anew(_):
-                following, use = jax.random.split(key)
-                new = self.env.unwrapped.reset(use)
-                return following, new.pipeline_state, new.obs
-
-            return run_if(done > 0, anew, (key, now, obs))
-
-        key, now, obs = jax.vmap(renewed)(state.done, keys, state.pipeline_state, state.obs)
-        state.info["key"] = key
-        return state.replace(pipeline_state=now, obs=obs)
-
-
 def wrap_lanes(env: Env, episode_length: int = 1000, action_repeat: int = 1, randomization_fn: Any = None) -> Wrapper:
-    """Wrap an environment: `wrap_env_fn` of `brax.training`."""
+    """Count steps: `wrap_env_fn` of `brax.training`, whose own wrapper goes back to the first start for ever."""
     del randomization_fn
-    return RenewWrapper(EpisodeWrapper(VmapWrapper(env), episode_length, action_repeat))
-
-
-def _typed(rng):
-    return rng if jnp.issubdtype(rng.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(rng)
+    return EpisodeWrapper(env, episode_length, action_repeat)
 
 
 @struct.dataclass
@@ -179,11 +156,6 @@ class Categorical:
         """Return the entropy: `[...]` float32, nats."""
         logs = jax.nn.log_softmax(self.logits)
         return -jnp.sum(jnp.exp(logs) * logs, axis=-1)
-
-    def kl_divergence(self, old: "Categorical") -> Array:
-        """Return the divergence of the old one from this: `[...]` float32, nats."""
-        ours, theirs = jax.nn.log_softmax(self.logits), jax.nn.log_softmax(old.logits)
-        return jnp.sum(jnp.exp(theirs) * (theirs - ours), axis=-1)
 
     @property
     def loc(self) -> Array:

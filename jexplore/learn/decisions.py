@@ -80,7 +80,9 @@ class Decisions:
             raise InputError(f"from no start of these worlds does {REFERENCE} see everything")
         starts_of = which.astype(np.int32), where.astype(np.int32), length_m.astype(np.float32)
         self._starts = tuple(jnp.asarray(a[good]) for a in starts_of)
-        decides = np.asarray(jax.jit(lambda: lax.map(self._decides, jnp.arange(good.sum())))())
+        numbers = jnp.arange(good.sum())
+        is_over = jax.jit(lambda: lax.map(lambda i: self._begun_at(random_key(0), i).is_over, numbers))()
+        decides = ~np.asarray(is_over)
         if not decides.any():
             raise InputError("from no start of these worlds is there anything to decide")
         self._starts = tuple(a[decides] for a in self._starts)
@@ -105,10 +107,6 @@ class Decisions:
             `overflow`, int32, clusters that did not fit, all plans together.
         """
         return alone_on_cpu(self._chosen)(state, action)
-
-    def _decides(self, i):
-        """Return whether any decision arises from start i."""
-        return ~self._begun_at(random_key(0), i).is_over
 
     def _begun(self, key):
         draw, key = jax.random.split(key)

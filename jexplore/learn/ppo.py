@@ -84,13 +84,13 @@ def make_round(
 
     Arguments and result as of `es.make_round`; the ratio is that of the weights after the round, from new starts.
     """
-    from jexplore.learn.brax_env import BraxDecisions, device_put_replicated, quietly, wrap_lanes
+    from jexplore.learn.brax_env import Lanes, device_put_replicated, quietly, wrap_lanes
 
     with quietly():
         from brax.training.acme import running_statistics, specs
         from brax.training.agents.ppo import train as ppo
 
-    env = BraxDecisions(_decisions(bank, settings.starts, seed, workers))
+    env = Lanes(_decisions(bank, settings.starts, seed, workers))
     size = specs.Array((env.observation_size,), jnp.dtype("float32"))
     draw = np.random.default_rng([seed, int(state.generation)])
     batch = -(-settings.decisions // (settings.unroll * settings.minibatches * settings.lanes)) * settings.lanes
@@ -100,7 +100,7 @@ def make_round(
             num_timesteps=settings.decisions,
             wrap_env_fn=wrap_lanes,
             num_envs=settings.lanes,
-            episode_length=10**6,
+            episode_length=2**31 - 1,
             learning_rate=settings.rate,
             entropy_cost=settings.entropy,
             discounting=1.0,

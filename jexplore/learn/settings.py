@@ -69,12 +69,6 @@ def parse_settings(items: Iterable[str]) -> dict[str, float]:
     return found
 
 
-def require_names_apart(training: Iterable[str], validation: Iterable[str]) -> None:
-    """Refuse validation worlds that are training worlds."""
-    for name in sorted({*training} & {*validation}):
-        raise InputError(f"world {name!r} is in both the training and the validation worlds")
-
-
 def require_rounds(rounds: int, check_every: int) -> int:
     """Return the rounds from check to check, of which `rounds` must be a multiple: `check_every`, or all if fewer."""
     check_every = min(check_every, rounds)

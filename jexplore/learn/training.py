@@ -19,8 +19,8 @@ from jexplore.config import InputError, __version__, checked_names, require_sett
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.devices import pinned_draws, random_key
 from jexplore.learn import es, ppo
-from jexplore.learn.bank import FAILED, TRAINING, VALIDATION, Bank, prepare_bank
-from jexplore.learn.settings import require_names_apart, require_rounds, trainer_settings
+from jexplore.learn.bank import TRAINING, VALIDATION, Bank, prepare_bank
+from jexplore.learn.settings import require_rounds, trainer_settings
 from jexplore.policies import Strategy
 from jexplore.policies.learned import features, networks
 from jexplore.policies.learned.model import (
@@ -63,7 +63,6 @@ class TrainingPlan(NamedTuple):
     settings: Any  # of the trainer
     rounds: int
     check_every: int  # rounds from check to check
-    patience: int  # checks without a better one, after which training ends; 0: never
     starts: int  # on each validation world
     seed: int
     begins: Model  # where it begins
@@ -86,7 +85,7 @@ class TrainingResult:
     best: int
     """The round that it is from."""
     ended: str
-    """Why training ended: "rounds", "patience", "not finite" or "interrupted"."""
+    """Why training ended: "rounds", "not finite" or "interrupted"."""
 
     def strategy(self, *, recheck: bool = True, name: str = "learned") -> Strategy:
         """Return the model as a strategy, for `jx.compare` and others."""
@@ -111,7 +110,7 @@ class TrainingResult:
 
 def prepare_training(
     algo: str, network: str, training: Bank, validation: Bank, settings: Mapping[str, Any], *, rounds: int,
-    check_every: int, patience: int, starts: int, seed: int, model: Model | None = None,
+    check_every: int, starts: int, seed: int, model: Model | None = None,
 ) -> TrainingPlan:  # fmt: skip
     """Check the input, which is that of `train`, and make a `TrainingPlan`.
 
@@ -119,16 +118,15 @@ def prepare_training(
     """
     numbers = trainer_settings(algo, settings)
     networks.network_named(network)
-    require_names_apart((world.name for world in training.worlds), (world.name for world in validation.worlds))
+    for name in sorted({world.name for world in training.worlds} & {world.name for world in validation.worlds}):
+        raise InputError(f"world {name!r} is in both the training and the validation worlds")
     if algo == "ppo":
         ppo.require_trainable(training, numbers)
     seed, rounds = require_setting("seed", seed), require_setting("rounds", rounds)
     check_every = require_rounds(rounds, require_setting("check_every", check_every))
-    patience, starts = require_setting("patience", patience), require_setting("starts", starts)
+    starts = require_setting("starts", starts)
     begins = _beginning(network, model, seed)
-    return TrainingPlan(
-        algo, network, training, validation, numbers, rounds, check_every, patience, starts, seed, begins
-    )
+    return TrainingPlan(algo, network, training, validation, numbers, rounds, check_every, starts, seed, begins)
 
 
 @pinned_draws()
@@ -150,7 +148,7 @@ def train(
     algo: str = "es", network: str = "linear", *,
     worlds: WorldLike | Sequence[WorldLike] = TRAINING, validation: WorldLike | Sequence[WorldLike] = VALIDATION,
     model: Model | str | os.PathLike[str] | None = None, settings: Mapping[str, Any] = {},
-    rounds: int = 40, check_every: int = 5, patience: int = 0, starts: int = 1, seed: int = 0,
+    rounds: int = 40, check_every: int = 5, starts: int = 1, seed: int = 0,
     measure: str = "path_m", cell_m: float = 0.1, lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
     workers: int | None = None, on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
 ) -> TrainingResult:  # fmt: skip
@@ -166,7 +164,6 @@ def train(
       rounds: of training.
       check_every: rounds from one check on the validation worlds to the next, of which `rounds` is a multiple unless it
         is smaller; the best model by them is the result.
-      patience: checks without a better one after which training ends; 0: never.
       starts: on each validation world.
       seed: of all draws.
       measure: column of the table of episodes that is to be small, such as `path_m_at_95`, `area_m` or `time_s`; for
@@ -190,7 +187,7 @@ def train(
     if model is not None and not isinstance(model, (Model, str, os.PathLike)):
         raise InputError(f"model must be a Model or the path of one, got {type(model).__name__}")
     begins = model if model is None or isinstance(model, Model) else load_model(model)
-    options = {"rounds": rounds, "check_every": check_every, "patience": patience, "starts": starts, "seed": seed}
+    options = {"rounds": rounds, "check_every": check_every, "starts": starts, "seed": seed}
     plan = prepare_training(algo, network, trained, watched, settings, model=begins, **options)
     with progress_bar(progress, plan.rounds, "rounds", on_progress) as moved:
         return run_training(plan, workers=workers, on_progress=moved)
@@ -213,7 +210,7 @@ def training_inputs(plan: TrainingPlan) -> dict[str, Any]:
         "lidar": plan.training.lidar,
         "rules": plan.training.rules,
         "measure": plan.training.measure,
-        **{name: getattr(plan, name) for name in ("check_every", "patience", "starts", "seed")},
+        **{name: getattr(plan, name) for name in ("check_every", "starts", "seed")},
     }
 
 
@@ -233,15 +230,12 @@ def run_training(
     state: Any = trainer.begin(plan.begins.weights, plan.settings)
     tables, ended, kept = [], "rounds", [state.weights]  # the last at every check
     while ledger is not None and len(tables) in ledger.done:
-        table = ledger.get(len(tables))
+        table = ledger.done[len(tables)]
         tables.append(table[list(CURVE_COLUMNS)])
         state = _unpacked(state, table[STATE].iloc[-1])
         kept.append(state.weights)
     try:
         for unit in range(len(tables), plan.units):
-            if _is_out_of_patience(plan, tables):
-                ended = "patience"
-                break
             rows = []
             if unit == 0:
                 rows.append((0, math.nan, _validation_ratio(plan, state.weights, workers)))
@@ -293,11 +287,6 @@ def _validation_ratio(plan, weights, workers):
     strategy = Strategy("learned", policy_of(Model(plan.network, weights)), True)
     which = [i for i in range(len(plan.validation.worlds)) for _ in range(plan.starts)]
     return float(np.exp(plan.validation.log_ratios([strategy], which, plan.seed, workers=workers).mean()))
-
-
-def _is_out_of_patience(plan, tables):
-    checks = [table["validation"].iloc[-1] for table in tables]
-    return bool(plan.patience) and len(checks) - int(np.argmin(checks or [FAILED])) - 1 >= plan.patience
 
 
 def _packed(state) -> bytes:

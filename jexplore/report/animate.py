@@ -15,8 +15,7 @@ from jexplore.report.store import atomic
 
 _GIF_RGB = [*MAP_RGB.tolist(), (224, 16, 16), (0, 114, 178), (230, 159, 0), (123, 44, 160), (245, 245, 245)]
 _UNKNOWN, _FREE, _OCCUPIED, _FRONTIER, _TARGET, _ROBOT, _PATH, _BAND = range(len(_GIF_RGB))
-_GREYS = 8
-_GIF_PALETTE = [*_GIF_RGB, *([round(245 * (1 - i / (_GREYS - 1)))] * 3 for i in range(_GREYS))]
+_GIF_PALETTE = np.array([*_GIF_RGB, *([grey] * 3 for grey in range(0, 245, 35))], np.uint8)  # greys of letters
 _BAND_PX, _MIN_WIDTH_PX, _LONG_PX = 24, 360, 640
 _LEGEND = (("unknown", _UNKNOWN), ("frontier", _FRONTIER), ("target", _TARGET), ("robot", _ROBOT), ("path", _PATH))
 _HOLD_S = 2.0  # of the last frame
@@ -32,16 +31,6 @@ def _shrunk(classes, factor):
     return np.maximum.reduce([padded[row::factor, col::factor] for row, col in np.ndindex(factor, factor)])
 
 
-def _draw_text(image, text, at, font):
-    """Draw anti-aliased text on the caption band, in the greys of the shared palette; return its width, pixels."""
-    width = math.ceil(font.getlength(text))
-    mask = Image.new("L", (max(width, 1), _BAND_PX), 0)
-    ImageDraw.Draw(mask).text((0, _BAND_PX // 2), text, fill=255, font=font, anchor="lm")
-    index = np.asarray(mask, dtype=np.int32) * (_GREYS - 1) // 255 + len(_GIF_RGB)
-    image.paste(Image.fromarray(index.astype(np.uint8)), at)
-    return width
-
-
 def frame_image(frame: Mapping[str, Any], *, cell_m: float) -> Image.Image:
     """Draw one frame of an animation as a palette image; see `save_animation` for its fields.
 
@@ -55,11 +44,10 @@ def frame_image(frame: Mapping[str, Any], *, cell_m: float) -> Image.Image:
     scale = max(1, _LONG_PX // max(classes.shape))
     picture = classes.repeat(scale, axis=0).repeat(scale, axis=1)
     height, width = picture.shape
-    page = np.full((height + 2 * _BAND_PX, max(width, _MIN_WIDTH_PX)), _BAND, dtype=np.uint8)
-    left = (page.shape[1] - width) // 2
-    page[:height, left : left + width] = picture
-    image = Image.fromarray(page)
-    image.putpalette(bytes(value for colour in _GIF_PALETTE for value in colour))
+    codes = np.full((height + 2 * _BAND_PX, max(width, _MIN_WIDTH_PX)), _BAND, dtype=np.uint8)
+    left = (codes.shape[1] - width) // 2
+    codes[:height, left : left + width] = picture
+    image = Image.fromarray(_GIF_PALETTE[codes])
     draw, per_cell = ImageDraw.Draw(image), scale / shrink
 
     def pixel(row, col):
@@ -69,54 +57,58 @@ def frame_image(frame: Mapping[str, Any], *, cell_m: float) -> Image.Image:
     for robot in robots:
         points = [pixel(row, col) for row, col in zip(robot["rows"], robot["cols"])]
         if len(points) > 1:
-            draw.line(points, fill=_PATH, width=max(1, min(3, scale // 2)))
+            draw.line(points, fill=_rgb(_PATH), width=max(1, min(3, scale // 2)))
     size = min(max(6.0, 0.3 / cell_m * per_cell), 14.0)
     for robot in robots:
         if robot["target"] is not None:
             x, y = pixel(*robot["target"])
-            draw.ellipse((x - size, y - size, x + size, y + size), outline=_TARGET, width=3)
+            draw.ellipse((x - size, y - size, x + size, y + size), outline=_rgb(_TARGET), width=3)
     for robot in robots:
         x, y = pixel(robot["row"], robot["col"])
         cos, sin = math.cos(math.radians(robot["heading_deg"])), math.sin(math.radians(robot["heading_deg"]))
         arrow = [
             (x + size * (u * cos - v * sin), y - size * (u * sin + v * cos)) for u, v in np.asarray(ARROW.vertices)[:-1]
         ]
-        draw.polygon(arrow, fill=_ROBOT, outline=_OCCUPIED)
-    _draw_legend(image, draw, height + _BAND_PX)
-    _draw_band(image, draw, frame["caption"], cell_m / per_cell, height)
-    return image
+        draw.polygon(arrow, fill=_rgb(_ROBOT), outline=_rgb(_OCCUPIED))
+    _draw_band(image, draw, frame["caption"], cell_m / per_cell, height + _BAND_PX // 2)
+    _draw_legend(draw, height + 3 * _BAND_PX // 2)
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(_GIF_PALETTE.tobytes())
+    return image.quantize(palette=palette, dither=Image.Dither.NONE)
 
 
-def _draw_band(image, draw, caption, metres_a_pixel, top):
+def _rgb(code):
+    return tuple(_GIF_PALETTE[code].tolist())
+
+
+def _draw_band(image, draw, caption, metres_a_pixel, y):
     """Draw the caption on the left, a scale bar of a round length on the right."""
-    font = _font(12)
-    widest = image.width / 4 * metres_a_pixel
-    bar_m = round_length(widest)
-    right, bar = image.width - 10, round(bar_m / metres_a_pixel)
+    font, black = _font(12), _rgb(_OCCUPIED)
+    bar_m = round_length(image.width / 4 * metres_a_pixel)
+    right, left = image.width - 10, image.width - 10 - round(bar_m / metres_a_pixel)
     label = f"{bar_m:g} m"
-    label_left = right - bar - 8 - math.ceil(font.getlength(label))
-    _draw_text(image, label, (label_left, top), font)
-    y = top + _BAND_PX // 2
-    draw.line((right - bar, y, right, y), fill=_OCCUPIED, width=2)
-    for x in (right - bar, right):
-        draw.line((x, y - 4, x, y + 4), fill=_OCCUPIED)
+    label_left = left - 8 - math.ceil(font.getlength(label))
+    draw.text((label_left, y), label, black, font, anchor="lm")
+    draw.line((left, y, right, y), fill=black, width=2)
+    for x in (left, right):
+        draw.line((x, y - 4, x, y + 4), fill=black)
     text = " ".join(str(caption).split())
     while text and font.getlength(text) > label_left - 20:
         text = text[:-2].rstrip("…") + "…" if len(text) > 2 else ""
-    if text:
-        _draw_text(image, text, (8, top), font)
+    draw.text((8, y), text, black, font, anchor="lm")
 
 
-def _draw_legend(image, draw, top):
+def _draw_legend(draw, y):
     """Draw the legend of the colours, in one line; the target as a ring."""
-    font, left, middle = _font(11), 10, top + _BAND_PX // 2
-    for text, colour in _LEGEND:
-        box = (left, middle - 5, left + 10, middle + 5)
-        if colour == _TARGET:
-            draw.ellipse(box, outline=colour, width=3)
+    font, left = _font(11), 10
+    for text, code in _LEGEND:
+        box = (left, y - 5, left + 10, y + 5)
+        if code == _TARGET:
+            draw.ellipse(box, outline=_rgb(code), width=3)
         else:
-            draw.rectangle(box, fill=colour)
-        left += 26 + _draw_text(image, text, (left + 15, top), font)
+            draw.rectangle(box, fill=_rgb(code))
+        draw.text((left + 15, y), text, _rgb(_OCCUPIED), font, anchor="lm")
+        left += 26 + math.ceil(font.getlength(text))
 
 
 def save_animation(

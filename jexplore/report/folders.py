@@ -75,8 +75,8 @@ class RunFolder:
 
     path: Path
 
-    def __init__(self, path: Path, made: list[Path], lock: int) -> None:
-        self.path, self._made, self._lock, self._keeps = path, made, lock, False
+    def __init__(self, path: Path) -> None:
+        self.path, self._made, self._lock, self._keeps = path, list[Path](), -1, False
 
     @property
     def unfinished(self) -> Path:
@@ -116,19 +116,52 @@ class RunFolder:
             for file in stage.iterdir():
                 os.replace(file, self.path / file.name)
 
-    def require_free(self) -> None:
-        """Refuse a folder that holds a run."""
-        _taken(self.path, False)
+    def require_free(self, *, allowed: bool = False) -> None:
+        """Refuse a folder that holds a run, unless that is allowed."""
+        _taken(self.path, allowed)
+
+    def claim(self, *, is_new: bool) -> None:
+        """Make the folder and its parents, lock it, and complete what its last holder was killed at."""
+        with _writable(self.path, OSError, ValueError):
+            for folder in reversed([self.path, *self.path.parents]):
+                own = is_new and folder == self.path
+                if own or not folder.is_dir():
+                    folder.mkdir(exist_ok=not own)
+                    self._made.append(folder)
+            self._take_lock(self.path / LOCK)
+            _install(self.path)
+        for stage in self.path.glob(f".*{STAGED}"):
+            shutil.rmtree(stage, ignore_errors=True)
+
+    def _take_lock(self, name):
+        """Lock the folder for this process, until it ends."""
+        while self._lock < 0:
+            handle = os.open(name, os.O_RDWR | os.O_CREAT, 0o644)
+            try:
+                if not _is_locked(handle):
+                    who = os.read(handle, 200).decode(errors="replace").strip() or "another process"
+                    raise InputError(f"{self.path} is being written by {who}: wait for it, or choose another folder")
+                if os.path.samestat(os.fstat(handle), os.stat(name)):
+                    self._lock = handle
+            except FileNotFoundError:  # its holder has just removed it
+                pass
+            finally:
+                if self._lock < 0:
+                    os.close(handle)
+        os.ftruncate(self._lock, 0)
+        os.write(self._lock, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
 
     def release(self) -> None:
         """Give the folder back; without content, folders that were made for it are removed."""
-        if self.unfinished.is_dir() and not any(self.unfinished.glob("*.parquet")):
-            self.forget()
-        with contextlib.suppress(OSError):
-            os.unlink(self.path / LOCK)
-        os.close(self._lock)
-        if not self._keeps:
-            _remove_folders(self._made)
+        if self._lock >= 0:
+            if self.unfinished.is_dir() and not any(self.unfinished.glob("*.parquet")):
+                self.forget()
+            with contextlib.suppress(OSError):
+                os.unlink(self.path / LOCK)
+            os.close(self._lock)
+        for folder in [] if self._keeps else reversed(self._made):
+            with contextlib.suppress(OSError):
+                folder.rmdir()
 
 
 @contextlib.contextmanager
@@ -141,10 +174,8 @@ def claimed(path: str | os.PathLike[str], *, overwrite: bool = False, resume: bo
     """
     if not os.fspath(path):
         raise InputError("the output folder must have a name, got an empty one")
-    path = Path(path)
-    with _had(path, _make(path)) as folder:
-        _mend(path)
-        _taken(path, overwrite or resume)
+    with _held(Path(path)) as folder:
+        folder.require_free(allowed=overwrite or resume)
         if folder.unfinished.exists() and not (overwrite or resume):
             raise InputError(
                 f"{path} holds a run that was not finished: go on with it (--resume), replace it (--overwrite) or "
@@ -156,63 +187,40 @@ def claimed(path: str | os.PathLike[str], *, overwrite: bool = False, resume: bo
 @contextlib.contextmanager
 def claimed_new(command: str, now: datetime.datetime) -> Iterator[RunFolder]:
     """Claim, as `claimed`, a new folder: `runs/20261121T093042Z-compare`, or with `-2`, `-3`, ... if that exists."""
-    first = Path("runs") / f"{now.astimezone(datetime.UTC):%Y%m%dT%H%M%SZ}-{command}"
+    name = f"{now.astimezone(datetime.UTC):%Y%m%dT%H%M%SZ}-{command}"
     for count in itertools.count(1):
-        path = first if count == 1 else first.with_name(f"{first.name}-{count}")
-        parents = _make(path.parent)
-        try:
-            path.mkdir()
-        except FileExistsError:
-            continue
-        except (OSError, ValueError) as error:
-            _remove_folders(parents)
-            raise _unwritable(path, error) from error
-        with _had(path, [*parents, path]) as folder:
+        path = Path("runs") / (name if count == 1 else f"{name}-{count}")
+        with contextlib.ExitStack() as stack:
+            try:
+                folder = stack.enter_context(_held(path, is_new=True))
+            except InputError:
+                if path.is_dir():  # it was there, or another process has just made it
+                    continue
+                raise
             yield folder
-        return
+            return
 
 
 @contextlib.contextmanager
-def _had(path, made):
-    """Have a folder, of which some parents were made for it, for a block."""
+def _held(path, *, is_new=False):
+    """Have a folder for a block."""
+    folder = RunFolder(path)
     try:
-        lock = _locked(path)
-    except BaseException:
-        _remove_folders(made)
-        raise
-    folder = RunFolder(path, made, lock)
-    try:
+        folder.claim(is_new=is_new)
         yield folder
     finally:
         folder.release()
 
 
-def _unwritable(path, error):
-    return InputError(f"{str(path)!r} must be a folder that can be written: {reason(error)}")
-
-
-def _make(path):
-    """Make a folder and its parents: a list of the new ones."""
-    made = []
+@contextlib.contextmanager
+def _writable(path, *kinds):
+    """Refuse a folder with which errors of these kinds occur in the block."""
     try:
-        if path.exists() and not path.is_dir():
-            raise InputError(f"{path} must be a folder, got a file")
-        for folder in reversed([path, *path.parents]):
-            if not folder.is_dir():
-                folder.mkdir(exist_ok=True)
-                made.append(folder)
+        yield
     except InputError:
         raise
-    except (OSError, ValueError) as error:
-        _remove_folders(made)
-        raise _unwritable(path, error) from error
-    return made
-
-
-def _remove_folders(made):
-    for folder in reversed(made):
-        with contextlib.suppress(OSError):
-            folder.rmdir()
+    except kinds as error:
+        raise InputError(f"{str(path)!r} must be a folder that can be written: {reason(error)}") from error
 
 
 def _taken(path, allowed):
@@ -228,44 +236,7 @@ def _taken(path, allowed):
     return taken
 
 
-def _locked(path):
-    """Lock a folder for this process, until it ends: a file descriptor."""
-    name = path / LOCK
-    while True:
-        try:
-            handle = os.open(name, os.O_RDWR | os.O_CREAT, 0o644)
-        except (OSError, ValueError) as error:
-            raise _unwritable(path, error) from error
-        try:
-            if not _lock(handle):
-                who = os.read(handle, 200).decode(errors="replace").strip() or "another process"
-                raise InputError(f"{path} is being written by {who}: wait for it, or choose another folder")
-            if os.path.samestat(os.fstat(handle), os.stat(name)):  # else its holder has just removed it
-                _sign(name, handle)
-                return handle
-        except FileNotFoundError:
-            pass
-        except OSError as error:
-            os.close(handle)
-            raise _unwritable(path, error) from error
-        except BaseException:
-            os.close(handle)
-            raise
-        os.close(handle)
-
-
-def _sign(name, handle):
-    """Write into a locked file whose it is; without room for that, remove it."""
-    try:
-        os.ftruncate(handle, 0)
-        os.write(handle, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
-    except BaseException:
-        with contextlib.suppress(OSError):
-            os.unlink(name)
-        raise
-
-
-def _lock(handle):
+def _is_locked(handle):
     """Lock an open file; return whether that succeeded, True on systems without locks."""
     try:
         import fcntl
@@ -276,16 +247,6 @@ def _lock(handle):
     except (ImportError, OSError):  # a system, or a file system, without locks
         return True
     return True
-
-
-def _mend(path):
-    """Complete what the folder's last holder did not, because it was killed while files were written or moved."""
-    try:
-        _install(path)
-    except OSError as error:
-        raise _unwritable(path, error) from error
-    for stage in path.glob(f".*{STAGED}"):
-        shutil.rmtree(stage, ignore_errors=True)
 
 
 def _install(folder):
@@ -311,11 +272,10 @@ def _staged(folder, contents):
     """Write files into a hidden folder inside `folder` that is removed afterwards."""
     stage = _hidden(folder)
     try:
-        stage.mkdir()
-        for name, content in contents.items():
-            write_content(content, stage / name)
-        yield stage
-    except OSError as error:
-        raise _unwritable(folder, error) from error
+        with _writable(folder, OSError):
+            stage.mkdir()
+            for name, content in contents.items():
+                write_content(content, stage / name)
+            yield stage
     finally:
         shutil.rmtree(stage, ignore_errors=True)

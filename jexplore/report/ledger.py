@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from jexplore.arrays.files import first_line, opened, read_json
+from jexplore.arrays.files import opened, read_json
 from jexplore.config import InputError, InputWarning
 from jexplore.report.folders import RunFolder
 from jexplore.report.store import MAX_RECORD_BYTES, jsonable, write_json, write_parquet
@@ -31,21 +31,22 @@ class Ledger:
     """Number of units of the run."""
     after: int
     """Number of episodes of the finished run that this one continues: those come in no unit."""
-    done: set[int]
-    """Numbers of the units that are finished."""
+    done: "dict[int, pd.DataFrame]"
+    """Numbers of the units that are finished -> their tables."""
 
     def __init__(self, folder: Path, units: int, after: int) -> None:
-        """Look which units are there; remove files that are damaged or belong to none.
+        """Read the units that are there; remove files that are damaged or belong to none.
 
         Warns:
           InputWarning: the file of a unit is damaged.
         """
-        self.folder, self.units, self.after, self.done = folder, units, after, set()
+        self.folder, self.units, self.after, self.done = folder, units, after, {}
         for file in folder.iterdir():
             unit = int(file.stem) if file.stem.isdigit() else -1
-            if 0 <= unit < units and _is_whole(file):
-                self.done.add(unit)
-            elif file.name != ASKED_FILE:
+            with contextlib.suppress(Exception):  # pyarrow raises many kinds of errors for a broken file
+                if 0 <= unit < units:
+                    self.done[unit] = _table_in(file)
+            if unit not in self.done and file.name != ASKED_FILE:
                 if 0 <= unit < units:
                     warnings.warn(f"{file.name} was damaged, and its unit is made again", InputWarning, stacklevel=4)
                 with contextlib.suppress(OSError):  # a holder that was killed while it wrote has left temporary ones
@@ -53,28 +54,8 @@ class Ledger:
 
     def put(self, unit: int, table: "pd.DataFrame") -> None:
         """Store a finished unit: on the disk when this returns."""
-        write_parquet(table, self._file(unit))
-        self.done.add(unit)
-
-    def get(self, unit: int) -> "pd.DataFrame":
-        """Return the table of a finished unit; refuse a file that is missing or damaged."""
-        file = self._file(unit)
-        try:
-            return _table_in(file)
-        except Exception as error:  # pyarrow raises many kinds of errors for a broken file
-            what = f"was damaged meanwhile: {first_line(error)}"
-            raise InputError(f"{file} must be a unit of this run, and {what}; --resume makes it again") from error
-
-    def _file(self, unit):
-        return self.folder / f"{unit:06d}.parquet"
-
-
-def _is_whole(file):
-    try:
-        _table_in(file)
-    except Exception:  # pyarrow raises many kinds of errors for a broken file
-        return False
-    return True
+        write_parquet(table, self.folder / f"{unit:06d}.parquet")
+        self.done[unit] = table
 
 
 def _table_in(file):
@@ -101,7 +82,7 @@ class Work(Generic[UnitResult]):
     ) -> None:  # fmt: skip
         """Read the finished units, of these numbers, of a ledger; `of_table` reverses `to_table`."""
         self._ledger, self._to_table, numbers = ledger, to_table, list(numbers)
-        self.done = {} if ledger is None else {i: of_table(ledger.get(i)) for i in numbers if i in ledger.done}
+        self.done = {} if ledger is None else {i: of_table(ledger.done[i]) for i in numbers if i in ledger.done}
         self.left = [i for i in numbers if i not in self.done]
 
     def put(self, number: int, found: UnitResult) -> None:

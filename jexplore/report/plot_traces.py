@@ -32,48 +32,38 @@ LONG_IN, LEGEND_IN = 8.0, 1.9
 FIRST_PASS_M = 0.25  # by which a first pass of a node may be farther than the nearest
 
 
-def draw_route(ax: Axes, btm: BtmMap, route: Route) -> list[Line2D]:
+def draw_route(ax: Axes, btm: BtmMap, route: Route) -> None:
     """Draw a route as a broad band, refused links with a red cross, nodes not to be passed in red rings."""
-    places, lines, handles = {node.id: (node.x_m, node.y_m) for node in btm.nodes}, link_lines(btm), []
+    places, lines = {node.id: (node.x_m, node.y_m) for node in btm.nodes}, link_lines(btm)
     band = [lines[own] for own in (*route.links, *([] if route.onward is None else [route.onward.link]))]
     if band:
-        style: dict[str, Any] = {"alpha": 0.45, "linewidth": 7}
-        ax.add_collection(LineCollection(band, colors=WAY, capstyle="round", zorder=3, **style))
-        handles.append(Line2D([], [], color=WAY, label=f"route of {route.robot}", **style))
+        style: dict[str, Any] = {"alpha": 0.45, "linewidth": 7, "capstyle": "round", "zorder": 3}
+        ax.add_collection(LineCollection(band, colors=WAY, label=f"route of {route.robot}", **style))
     crosses = [np.mean([lines[own][0], lines[own][-1]], axis=0) for own, _ in route.refused]
-    for at, marker, size, label in (
-        (crosses, "x", 9, "refused link"),
-        ([places[own] for own, _ in route.barriers], "o", 15, "not to be passed"),
-    ):
+    rings = [places[own] for own, _ in route.barriers]
+    for at, marker, size, label in ((crosses, "x", 9, "refused link"), (rings, "o", 15, "not to be passed")):
         if len(at):
-            style = {"linestyle": "none", "marker": marker, "markersize": size, "markerfacecolor": "none"}
-            style |= {"markeredgecolor": REFUSED, "markeredgewidth": 2}
-            ax.plot(*np.transpose(at), zorder=5, **style)
-            handles.append(Line2D([], [], label=label, **style))
-    return handles
+            style = {"linestyle": "none", "markersize": size, "markeredgecolor": REFUSED, "markeredgewidth": 2}
+            ax.plot(*np.transpose(at), marker=marker, markerfacecolor="none", zorder=5, label=label, **style)
 
 
-def draw_trail(ax: Axes, trail: ArrayLike, modes: ArrayLike, mode_names: Sequence[str]) -> list[Line2D]:
+def draw_trail(ax: Axes, trail: ArrayLike, modes: ArrayLike, mode_names: Sequence[str]) -> None:
     """Draw the robot's way in the colour of its mode, a ring at the start and a cross at the end.
 
     `trail` is `[T, 3]` x and y, metres, and heading, which is not drawn; `modes` are `[T]` int, index into
-    `mode_names`: of the piece that leads to this pose. Return handles for a legend.
+    `mode_names`: of the piece that leads to this pose.
     """
     xy, modes = np.asarray(trail, float).reshape(-1, 3)[:, :2], np.asarray(modes, int)
     if len(xy) != len(modes):
         raise ValueError(f"expected a mode for every pose, got {len(modes)} for {len(xy)}")
-    if not len(xy):
-        return []
-    colours = [MODE_COLOURS[i % len(MODE_COLOURS)] for i in range(len(mode_names))]
-    if len(xy) > 1:
-        pieces, own = np.stack([xy[:-1], xy[1:]], axis=1), [colours[mode] for mode in modes[1:]]
-        ax.add_collection(LineCollection(list(pieces), colors=own, linewidths=3.4, capstyle="round", zorder=3))
-    handles = [Line2D([], [], color=colours[i], linewidth=3.4, label=mode_names[i]) for i in np.unique(modes)]
-    marks = (("start", xy[0], "o", "none", 13), ("end", xy[-1], "x", "black", 11))
-    for label, place, marker, face, size in marks:
-        style = {"linestyle": "none", "marker": marker, "markerfacecolor": face, "markersize": size}
-        handles += ax.plot(*place, **style, markeredgecolor="black", markeredgewidth=1.4, zorder=5, label=label)
-    return handles
+    pieces = np.stack([xy[:-1], xy[1:]], axis=1)
+    for mode in np.unique(modes):
+        style = {"colors": MODE_COLOURS[mode % len(MODE_COLOURS)], "capstyle": "round", "label": mode_names[mode]}
+        ax.add_collection(LineCollection(list(pieces[modes[1:] == mode]), linewidths=3.4, zorder=3, **style))
+    for label, place, marker, face, size in (("start", xy[:1], "o", "none", 13), ("end", xy[-1:], "x", "black", 11)):
+        if len(place):
+            style = {"linestyle": "none", "markerfacecolor": face, "markersize": size, "markeredgecolor": "black"}
+            ax.plot(*place.T, marker=marker, markeredgewidth=1.4, zorder=5, label=label, **style)
 
 
 def draw_pitch(ax: Axes, btm: BtmMap, trail: ArrayLike, pitch_deg: Any) -> Line2D:
@@ -107,41 +97,39 @@ def team_figure(
     `walls` as of `trace_figure`; `ways` are `[n, 2]`, metres, of each robot; `attempts` are x, y, metres, and the
     outcome; `btm` is drawn below.
     """
-    walls, handles = np.asarray(walls, float), {}
+    walls = np.asarray(walls, float)
     width, height = np.ptp(walls.reshape(-1, 2), axis=0)
     wide = min(LONG_IN, 1.2 * LONG_IN * width / height)
     page = Figure(figsize=(wide + 1.0, 2 * wide * height / width + 1.6), layout="constrained")
     above, below = page.subplots(2, 1, sharex=True, sharey=True)
     for i, way in enumerate(ways):
         xy, colour = np.asarray(way), PALETTE[i % len(PALETTE)]
-        (handles[f"way of robot-{i}"],) = above.plot(*xy.T, color=colour, linewidth=1.6, alpha=0.7)
+        above.plot(*xy.T, color=colour, linewidth=1.6, alpha=0.7, label=f"way of robot-{i}")
         above.plot(*xy[0], marker="o", color=colour, markeredgecolor="black", markersize=9, zorder=5)
     for outcome, (marker, colour) in OUTCOME_MARKS.items():
-        at = [(x, y) for x, y, own in attempts if own == outcome]
-        if at:
-            name = outcome.lower().replace("_", " ")
+        at = np.array([(x, y) for x, y, own in attempts if own == outcome]).reshape(-1, 2)
+        if len(at):
             style: dict[str, Any] = {"linestyle": "none", "marker": marker, "markersize": 7, "zorder": 6}
-            (handles[name],) = above.plot(*np.transpose(at), **style, color=colour, markeredgecolor="black")
-    handles |= {mark.get_label(): mark for mark in draw_btm(below, btm)}
+            style |= {"color": colour, "markeredgecolor": "black", "label": outcome.lower().replace("_", " ")}
+            above.plot(*at.T, **style)
+    draw_btm(below, btm)
     for ax, name in ((above, title), (below, f"map of most robots: {len(btm.nodes)} nodes, {len(btm.links)} links")):
-        handles |= {mark.get_label(): mark for mark in draw_building(ax, walls, ())}
+        draw_building(ax, walls, ())
         ax.set(aspect="equal", ylabel="y (m)")
         ax.set_title(wrapped_text(name, int(11 * wide), max_lines=2), fontsize=10, parse_math=False)
     below.set_xlabel("x (m)")
-    legend_below(page, list(handles.values()), list(handles))
+    legend_below(page)
     return page
 
 
-def draw_building(ax: Axes, walls: Any, points: Any) -> list[Line2D]:
-    """Draw walls and scan points; return entries of a legend."""
-    handles, dot = [], {"color": POINT, "marker": ".", "linestyle": "none", "markeredgewidth": 0}
+def draw_building(ax: Axes, walls: Any, points: Any) -> None:
+    """Draw walls and scan points."""
     if len(walls):
-        ax.add_collection(LineCollection(list(walls.reshape(-1, 2, 2)), colors=WALL, linewidths=3, zorder=1))
-        handles.append(Line2D([], [], color=WALL, linewidth=3, label="building"))
+        lines = list(walls.reshape(-1, 2, 2))
+        ax.add_collection(LineCollection(lines, colors=WALL, linewidths=3, zorder=1, label="building"))
     if len(points):
-        ax.plot(points[:, 0], points[:, 1], markersize=1.4, zorder=2, rasterized=True, **dot)
-        handles.append(Line2D([], [], markersize=3, label="scan point", **dot))
-    return handles
+        dot = {"color": POINT, "marker": ".", "linestyle": "none", "markeredgewidth": 0, "markersize": 1.4}
+        ax.plot(points[:, 0], points[:, 1], zorder=2, rasterized=True, label="scan point", **dot)
 
 
 def _limits(btm, walls, trail, points):
@@ -182,9 +170,11 @@ def trace_figure(
     page = Figure(figsize=(width + LEGEND_IN + 0.7, height + lower + 0.9), layout="constrained")
     axes = page.subplots(1 + pitched, 1, squeeze=False, height_ratios=[height, lower][: 1 + pitched])[:, 0]
     ax = axes[0]
-    handles = draw_building(ax, walls, points)
-    handles += draw_trail(ax, trail, modes, mode_names)
-    handles = draw_btm(ax, btm) + ([] if route is None else draw_route(ax, btm, route)) + handles
+    draw_btm(ax, btm)
+    if route is not None:
+        draw_route(ax, btm, route)
+    draw_building(ax, walls, points)
+    draw_trail(ax, trail, modes, mode_names)
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     for axis, long_in in ((ax.xaxis, width), (ax.yaxis, height)):  # not left to the layout, which would chase its ticks
         axis.set_major_locator(MaxNLocator(nbins=max(2, round(long_in)), steps=[1, 2, 5, 10]))
@@ -193,7 +183,7 @@ def trace_figure(
     ax.tick_params(labelsize=8)
     if title:
         ax.set_title(wrapped_text(title, int(11 * width), max_lines=2), fontsize=10, parse_math=False)
-    if handles:
+    if handles := ax.get_legend_handles_labels()[0]:
         page.legend(handles=handles, loc="outside right upper", fontsize=8, frameon=False)
     if pitched:
         draw_pitch(axes[1], btm, trail, pitch_deg)

@@ -133,9 +133,14 @@ def jsonable(value: Any) -> Any:
     raise TypeError(f"expected something that JSON can hold, got {type(value).__name__}")
 
 
+def json_text(obj: Any) -> str:
+    """Format `obj` as JSON (see `jsonable`), indented."""
+    return json.dumps(jsonable(obj), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
 def write_json(obj: Any, path: str | os.PathLike[str]) -> None:
-    """Write `obj` as JSON (see `jsonable`), indented, whole or not at all."""
-    text = json.dumps(jsonable(obj), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    """Write `obj` as JSON, whole or not at all."""
+    text = json_text(obj)
     with atomic(path) as part:
         part.write_text(text, encoding="utf-8", errors="backslashreplace")  # arguments may be no UTF-8
 

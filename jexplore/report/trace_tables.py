@@ -123,13 +123,10 @@ def route_table(route: Route) -> str:
         values = [value for step in steps if (value := getattr(step, field)) is not None]
         told += [f"{name} {which(values):.{digits}f} {unit}"] if values else []
     table = aligned_table(head, lines, left=("way",)) + "\n" if lines else ""
-    return f"{table}{route.robot}, node {route.start} to {_goal(route)}: {', '.join(told)}"
-
-
-def _goal(route):
-    if route.onward is None:
-        return f"node {route.end}"
-    return f"un-searched link {route.onward.link} of node {route.end}, bearing {route.onward.bearing_deg:.0f} deg"
+    goal, last = f"node {route.end}", route.onward
+    if last is not None:
+        goal = f"un-searched link {last.link} of {goal}, bearing {last.bearing_deg:.0f} deg"
+    return f"{table}{route.robot}, node {route.start} to {goal}: {', '.join(told)}"
 
 
 def refused_lines(btm: BtmMap, route: Route) -> list[str]:

@@ -25,7 +25,7 @@ from jexplore.exploration.trail import Final
 from jexplore.grid import is_free, is_occupied
 from jexplore.planning import field
 from jexplore.policies import Strategy, room_wise
-from jexplore.report.page.replay import FRONTIER, OWN_ROOM, OtherRobot, ReplayData, changes_of, evenly
+from jexplore.report.page.replay import FRONTIER, OWN_ROOM, ReplayData, RobotReplay, changes_of, evenly
 from jexplore.rules import Lidar, Rules
 from jexplore.worlds.world import World, ring_of
 
@@ -116,7 +116,7 @@ def _team_parts(site, world, strategy, final, start, max_frames):
         "until": first["steps"],
         "known_m2": np.array([frame.n_known for frame in frames]) * world.cell_m**2,
         "changes": tuple(changes_of(images)),
-        "others": tuple(OtherRobot(**other) for other in others),
+        "others": tuple(RobotReplay(**other) for other in others),
         "clock_m": np.array([frame.clock_m for frame in frames]),
     }
 

@@ -8,7 +8,6 @@ from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from jexplore.arrays.pictures import LONG_PX, png_of
 
@@ -36,32 +35,29 @@ def map_png(btm: Any) -> bytes:
     return png_of(figure, dpi=_DPI)
 
 
-def draw_btm(ax: Axes, btm: Any) -> list[Line2D]:
+def draw_btm(ax: Axes, btm: Any) -> None:
     """Draw searched links as straight lines, un-searched ones as short dashed lines, and nodes with their ids.
 
-    Return handles for a legend: of every type of node and state of a link that the map has.
+    The artists of every type of node and state of a link that the map has are labelled for a legend.
     """
     places = {node.id: (node.x_m, node.y_m) for node in btm.nodes}
     lines_of = link_lines(btm)
-    ways, stubs = ([lines_of[link.id] for link in btm.links if (link.end < 0) == is_stub] for is_stub in (False, True))
-    handles = []
-    for lines, style, label in ((ways, "-", "searched link"), (stubs, (0, (2, 1)), "un-searched link")):
+    for is_stub, style, label in ((False, "-", "searched link"), (True, (0, (2, 1)), "un-searched link")):
+        lines = [lines_of[link.id] for link in btm.links if (link.end < 0) == is_stub]
         if lines:
-            ax.add_collection(LineCollection(lines, colors=LINK, linewidths=1.1, linestyles=[style], zorder=4))
-            handles.append(Line2D([], [], color=LINK, label=label, **{"linestyle": style, "linewidth": 1.1}))
+            how: Any = {"colors": LINK, "linewidths": 1.1, "linestyles": [style], "zorder": 4, "label": label}
+            ax.add_collection(LineCollection(lines, **how))
     for kind in NODE_STYLES:
         xy = np.array([places[node.id] for node in btm.nodes if node.type == kind]).reshape(-1, 2)
         if len(xy):
             style = {"linestyle": "none", "markersize": 7, "markeredgecolor": "black", **NODE_STYLES[kind]}
-            ax.plot(xy[:, 0], xy[:, 1], zorder=6, **style)
-            handles.append(Line2D([], [], label=f"{kind.replace('_', ' ')} node", **style))
+            ax.plot(xy[:, 0], xy[:, 1], zorder=6, label=f"{kind.replace('_', ' ')} node", **style)
     for node in btm.nodes:
         x, y = _free_side(btm, node)
         place = {"xytext": (12 * x, 12 * y), "textcoords": "offset points", "ha": "center", "va": "center"}
         text = ax.annotate(str(node.id), places[node.id], fontsize=7, zorder=7, **place)
         text.set_path_effects(_HALO)
     ax.autoscale_view()
-    return handles
 
 
 def link_lines(btm: Any) -> dict[int, list[tuple[float, float]]]:

@@ -102,8 +102,9 @@ def _draw_pair(page, pictures):
     low, high = _limits(pictures)
     axes = page.subplots(1, 2)
     draw_cells(axes[0], pictures.cells, pictures.cell_m)
-    handles = [*draw_btm(axes[1], pictures.placed), *draw_building(axes[1], pictures.walls, ())]
-    axes[1].legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=7, frameon=False)
+    draw_btm(axes[1], pictures.placed)
+    draw_building(axes[1], pictures.walls, ())
+    axes[1].legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=7, frameon=False)
     titles = "grid map, drawn by odometry", "trace map, nodes where they truly lie"
     for ax, title in zip(axes, titles):
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")

@@ -16,6 +16,7 @@ from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError
 
 if TYPE_CHECKING:
+    from jexplore.engine.runner import Costs
     from jexplore.report.folders import RunFolder
     from jexplore.report.ledger import Ledger
 
@@ -32,27 +33,6 @@ def say(line: str, status: int) -> int:
     """Print a line on stderr, cut short, and return the exit status."""
     tell(line if len(line) <= MAX_MESSAGE_CHARS else line[: MAX_MESSAGE_CHARS - 3] + "...")
     return status
-
-
-class Progress:
-    """Progress, speed and remaining time on stderr: a bar on a terminal, elsewhere (a log, a pipe) a line at times."""
-
-    bar: Any = None
-
-    def __init__(self, total: int, unit: str) -> None:
-        self.total, self.unit = total, unit
-
-    def update(self, done: int) -> None:
-        if self.bar is None:  # the clock starts when work does, not when compiling does
-            self.bar = _bar(self.total, done, self.unit)
-        self.bar.update(done - self.bar.n)
-
-    def step(self, n: int = 1) -> None:
-        self.update(n + (0 if self.bar is None else self.bar.n))
-
-    def close(self) -> None:
-        if self.bar is not None:
-            self.bar.close()
 
 
 def _bar(total, done, unit):
@@ -76,8 +56,24 @@ def tell(line: str) -> None:
         print(line, file=sys.stderr, flush=True)
 
 
-def progress_of(total: int, unit: str) -> contextlib.closing[Progress]:
-    return contextlib.closing(Progress(total, unit))
+@contextlib.contextmanager
+def progress_of(total: int, unit: str) -> Iterator[Callable[[int], None]]:
+    """Show progress, speed and remaining time on stderr: a bar on a terminal, elsewhere a line at times.
+
+    The block gets the function to call with the number of finished things.
+    """
+    bars = []
+
+    def update(done):
+        if not bars:  # the clock starts when work does, not when compiling does
+            bars.append(_bar(total, done, unit))
+        bars[0].update(done - bars[0].n)
+
+    try:
+        yield update
+    finally:
+        for bar in bars:
+            bar.close()
 
 
 @contextlib.contextmanager
@@ -95,11 +91,11 @@ def note_if_slow(text: str) -> Iterator[Callable[[], None]]:
 @contextlib.contextmanager
 def working(total: int, unit: str, note: str = COMPILING) -> Iterator[Callable[[int], None]]:
     """Show progress of work: a note until its first part is done, then a bar. The block gets the function to call."""
-    with progress_of(total, unit) as progress, note_if_slow(note) as call_off:
+    with progress_of(total, unit) as update, note_if_slow(note) as call_off:
 
         def on_progress(done):
             call_off()
-            progress.update(done)
+            update(done)
 
         yield on_progress
 
@@ -111,14 +107,17 @@ class Out:
     ledger: "Ledger | None" = None
     asked: dict[str, Any] | None = None
     units = wanted = 0
+    was_finished = False
+    """True once the folder is known to hold the whole run."""
 
-    def __init__(self, options: Any, command: str) -> None:
+    def __init__(self, options: Any, arguments: Sequence[str], command: str = "") -> None:
+        """Check the options of the folder; `command` is the first of the arguments, unless it is given."""
         self.given = None if options.out is None else os.path.expanduser(options.out)
         if self.given is not None and self.given.startswith("~"):
             raise InputError(f"--out {self.given}: there is no such home folder; give the whole path")
         self.overwrite, self.resume = options.overwrite, getattr(options, "resume", False)
         self.trust = getattr(options, "trust", False)
-        self.command = command
+        self.options, self.arguments, self.command = options, arguments, command or arguments[0]
         if self.resume and self.overwrite:
             raise InputError("--resume goes on with a run and --overwrite replaces it: give one of them")
         if self.resume and self.given is None:
@@ -143,20 +142,16 @@ class Out:
     def __exit__(self, *error: Any) -> None:
         under_way.remove(self)
         self._stack.close()
-        if error[0] is KeyboardInterrupt or (error[0] is not None and self.is_anything_kept):
-            self.say_kept()
+        if error[0] is not None:
+            self.say_kept(is_interrupted=error[0] is KeyboardInterrupt)
 
-    @property
-    def is_anything_kept(self) -> bool:
-        """Return whether the folder holds part of an unfinished run."""
-        return self.ledger is not None and bool(self.ledger.done) and self.run.unfinished.exists()
-
-    def say_kept(self) -> None:
-        """Tell how to continue a run that was ended, or that nothing is stored."""
-        if self.is_anything_kept and self.ledger is not None:
-            done = f"{len(self.ledger.done)} of {self.wanted} units"
-            tell(f"jexplore: {done} are kept; --out {self.run.path} --resume goes on with them")
-        elif self.ledger is not None and self.wanted and not self.ledger.done:
+    def say_kept(self, *, is_interrupted: bool = True) -> None:
+        """Tell how to continue a run that was ended, or after an interruption that nothing is stored."""
+        done = {} if self.ledger is None else self.ledger.done
+        if done and self.run.unfinished.exists():
+            kept = f"{len(done)} of {self.wanted} units are kept"
+            tell(f"jexplore: {kept}; --out {self.run.path} --resume goes on with them")
+        elif is_interrupted and self.wanted and not done:
             tell("jexplore: no unit of work was finished: nothing is kept to go on with")
 
     def keep(
@@ -170,23 +165,29 @@ class Out:
 
         self.asked = {"command": self.command, **asked}
         self.ledger = open_ledger(self.run, self.asked, units, resume=self.resume, trust=self.trust)
+        self.was_finished = self.ledger is None
         if self.ledger is not None:
             self.units = self.ledger.units
             self.wanted = self.units if shard is None else len(range(shard[0], self.units, shard[1]))
         return self.ledger
 
-    def record(self, arguments: Sequence[str], options: Any, **found: Any) -> dict[str, Any]:
-        """Return the content of run.json."""
+    def record(self, *, worlds: Sequence[Any] = (), costs: "Costs | None" = None, **found: Any) -> dict[str, Any]:
+        """Return the content of run.json: with `World`s described, and with the costs of runs."""
         from jexplore.report import store
         from jexplore.studies.results import provenance
 
         wall_s = time.perf_counter() - self.began
+        if costs is not None:
+            found |= {"compile_s": costs.compile_s, "run_s": costs.run_s, **provenance.engine_of(costs)}
+        if worlds:
+            described = [world if isinstance(world, dict) else provenance.describe_world(world) for world in worlds]
+            found |= {"worlds": described}
         return {
-            "command": ["jexplore", *arguments],
+            "command": ["jexplore", *self.arguments],
             "started": self.now,
             **found,
             "wall_s": wall_s,
-            "configuration": options,
+            "configuration": self.options,
             "environment": {**store.environment(), "commit": provenance.package_commit()},
         } | ({} if self.asked is None else {"asked": self.asked, "units": self.units})
 
@@ -196,17 +197,26 @@ class Out:
     ) -> int:  # fmt: skip
         """Write the files and run.json, all or none; print the text and add the pictures; return the exit status.
 
+        Of a run that was finished before, only pictures that it lacks are written.
+
         Files and pictures are name -> content, see `folders.write_content`. A reader of the output who goes away costs
         neither results nor pictures.
         """
-        files = {**files, "run.json": record}
-        self.run.write(files, is_finished=not interrupted)
+        if self.was_finished:
+            pictures = {name: own for name, own in pictures.items() if not (self.run.path / name).is_file()}
+        else:
+            files = {**files, "run.json": record}
+            self.run.write(files, is_finished=not interrupted)
         try:
             if text:
                 show_table(text)
             sys.stdout.flush()
         finally:
             drawn = self.draw(pictures)
+        if self.was_finished:
+            what = f"drew {', '.join(drawn)}" if drawn else "nothing was left to do"
+            print(f"{self.run.path}{os.sep} holds all of it: {what}")
+            return 0
         print(f"wrote {', '.join([*files, *drawn])} to {self.run.path}{os.sep}")
         if interrupted:
             self.say_kept()
@@ -229,10 +239,3 @@ class Out:
             except Exception as error:
                 print(f"warning: {name} could not be drawn: {first_line(error)}", file=sys.stderr)
         return drawn
-
-    def draw_missing(self, pictures: Mapping[str, Any] = MappingProxyType({})) -> int:
-        """Add the pictures that a finished run lacks, tell so and return the exit status."""
-        drawn = self.draw({name: own for name, own in pictures.items() if not (self.run.path / name).is_file()})
-        what = f"drew {', '.join(drawn)}" if drawn else "nothing was left to do"
-        print(f"{self.run.path}{os.sep} holds all of it: {what}")
-        return 0

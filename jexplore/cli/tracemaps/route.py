@@ -1,5 +1,6 @@
 """The command `jexplore route`."""
 
+import contextlib
 import dataclasses
 import functools
 from collections.abc import Sequence
@@ -11,13 +12,9 @@ from jexplore.cli.options import given_of
 from jexplore.cli.output.console import COMPILING, Out, note_if_slow
 from jexplore.cli.output.terminal import show_line, show_table
 from jexplore.config import InputError
+from jexplore.driving.settings import Noise
 
 NO_ROUTE = 1  # exit status
-
-File = Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(required)")]
-Folder = Annotated[str | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
-Goal = Annotated[str | None, tyro.conf.arg(metavar="PLACE", help_behavior_hint="(required)")]
-Start = Annotated[str | None, tyro.conf.arg(name="from", metavar="PLACE", help_behavior_hint="")]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,17 +27,17 @@ class RouteCommand:
     writes route.json, route.png and run.json, and with --drive btm.json, the map with what was found.
     """
 
-    map: File = None
+    map: str | None = None
     """Go over this map, the btm.json of `jexplore trace`."""
-    robot: Annotated[str, tyro.conf.arg(metavar="ROBOT")] = "kamui"
+    robot: str = "kamui"
     """Go with this robot: kamui (a crawler) or wheeled; with other measures kamui:width_m=0.6,max_slope_deg=8."""
-    from_: Start = None
+    from_: Annotated[str | None, tyro.conf.arg(name="from")] = None
     """Begin at the node of this id, or at the one that is nearest to X,Y, in metres; by default at the map's first."""
-    to: Goal = None
+    to: str | None = None
     """Go to a node, named alike, or to the nearest link that is un-searched: unsearched."""
     known_only: bool = False
     """Refuse searched links of which the map does not have width, step, inclination and roll."""
-    drive: Annotated[str | None, tyro.conf.arg(metavar="WORLD", help_behavior_hint="")] = None
+    drive: str | None = None
     """Let the robot follow the way to its last node in this building, that of the map: course:obstacle=none."""
     noise_m: float = 0.01
     """Give its scanners' ranges this standard deviation, in metres."""
@@ -48,7 +45,7 @@ class RouteCommand:
     """Draw the noise from this seed."""
     within_m: float = 2.0
     """Take a node for X,Y that lies no farther from it than this, in metres."""
-    out: Folder = None
+    out: str | None = None
     """Write into this folder; by default nothing is written."""
     overwrite: bool = False
     """Replace the run that the folder holds."""
@@ -63,30 +60,22 @@ class RouteCommand:
         if self.drive is None and given_of(self, ("noise_m", "seed")):
             raise InputError("--noise-m and --seed go with --drive WORLD")
         if self.drive is not None:
-            self._require_drive()
+            from jexplore.studies.checks import ready_worlds
+
+            Noise(range_m=self.noise_m)
+            ready_worlds(self.drive, 0.1)
         from jexplore.tracemap.json_form import read_btm
 
         btm = read_btm(str(self.map))
-        if self.out is None:
-            return self._answered(btm)[0]
-        with Out(self, "route") as out:
-            status, route, changed = self._answered(btm)
-            _write(out, self, arguments, btm, route, changed)
+        with contextlib.ExitStack() as stack:
+            out = None if self.out is None else stack.enter_context(Out(self, arguments))
+            route = self._found(btm)
+            status, changed = _tell(btm, route), btm
+            if self.drive is not None and not status:
+                status, changed = self._followed(btm, route)
+            if out is not None:
+                _write(out, self.drive is not None, btm, route, changed)
             return status
-
-    def _answered(self, btm):
-        """Tell a route, and drive it if requested; return the exit status, the route, and the map with the findings."""
-        route = self._found(btm)
-        status = _tell(btm, route)
-        return (status, route, btm) if status or self.drive is None else self._followed(btm, route)
-
-    def _require_drive(self):
-        """Refuse a building or numbers before anything is printed."""
-        from jexplore.driving.settings import Noise
-        from jexplore.studies.checks import ready_worlds
-
-        Noise(range_m=self.noise_m)
-        ready_worlds(self.drive or "", 0.1)
 
     def _found(self, btm) -> Any:
         from jexplore.engine.backend import use_compilation_cache
@@ -100,11 +89,10 @@ class RouteCommand:
             )
 
     def _followed(self, btm, route):
-        """Drive the route; return as `_answered`."""
+        """Drive the route; return the exit status, and the map with the findings."""
         if not route.links:
             show_line("driven: nothing, for the way has no link")
-            return 0, route, btm
-        from jexplore.driving.settings import Noise
+            return 0, btm
         from jexplore.studies.traces.following import follow
 
         with note_if_slow(COMPILING):
@@ -114,7 +102,7 @@ class RouteCommand:
         show_line(f"driven: {told}; {row['missed']} of {row['places']} places missed, {row['extra']} more found")
         for line in found.changes:
             show_line(f"found: {line}", indent=7)
-        return (0 if row["outcome"] == "ARRIVED" else NO_ROUTE), route, found.map
+        return (0 if row["outcome"] == "ARRIVED" else NO_ROUTE), found.map
 
 
 def _tell(btm, route) -> int:
@@ -131,17 +119,17 @@ def _tell(btm, route) -> int:
     return 0 if route.is_found else NO_ROUTE
 
 
-def _write(out, options, arguments, btm, route, changed):
+def _write(out, has_driven, btm, route, changed):
     """Write the findings and draw them."""
     from jexplore.report import plot_traces, store
     from jexplore.tracemap import json_form
 
-    record = out.record(arguments, options, map=btm.attributes)
+    record = out.record(map=btm.attributes)
     found = {**store.jsonable(route), "is_found": route.is_found}
     for name in ("refused", "barriers"):
         found[name] = [{"id": own, "reasons": list(why)} for own, why in getattr(route, name)]
     files = {"route.json": found}
-    if options.drive is not None:
+    if has_driven:
         files["btm.json"] = json_form.to_json(changed)
     title = route.trouble or f"{route.robot}, node {route.start} to {route.end}, {route.length_m:.2f} m"
     figure = functools.partial(plot_traces.trace_figure, btm, None, title=title, route=route)

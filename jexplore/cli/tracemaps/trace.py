@@ -1,28 +1,18 @@
 """The command `jexplore trace`."""
 
+import collections
 import dataclasses
 import functools
 import math
 import sys
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-import tyro
-
-from jexplore.cli.options import (
-    ContactText,
-    EngineName,
-    Number,
-    OneWorld,
-    ResumeOptions,
-    StartsText,
-    fields_of,
-    given_of,
-)
-from jexplore.cli.output.console import Out, say, working
-from jexplore.cli.tracemaps.team import trace_robots
+from jexplore.cli.options import CellOptions, EngineOptions, ResumeOptions, fields_of, given_of
+from jexplore.cli.output.console import Out, note_if_slow, say, working
 from jexplore.config import InputError
 from jexplore.driving.settings import Noise, Tuning
+from jexplore.report.tables import aligned_table, number_text
 from jexplore.tracemap.json_form import to_json
 from jexplore.tracemap.merging.limits import TeamLimits
 
@@ -30,42 +20,33 @@ SAME_WAY_M = 0.01  # two ways no farther apart than this are one
 
 
 @dataclasses.dataclass(frozen=True)
-class Trace(ResumeOptions):
+class Trace(EngineOptions, ResumeOptions, CellOptions):
     """Let a robot drive through a building and write its Behavioral Trace Map.
 
     Prints the node and link tables of run 0 and how many runs made the same map. Writes btm.json, btm.png,
     runs.parquet and run.json.
     """
 
-    world: OneWorld = "course"
+    world: str = "course"
     """Drive through this course, such as course#3 or course:obstacle=stairs, or any world; see `jexplore worlds`."""
-    robot: Annotated[str, tyro.conf.arg(metavar="ROBOT")] = "kamui"
+    robot: str = "kamui"
     """Drive this robot: kamui (a crawler) or wheeled; with other measures kamui:width_m=0.6,max_slope_deg=8."""
     runs: int | None = None
     """Number of runs, of every setting if some are swept; by default one a start."""
-    starts: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None
+    starts: int | None = None
     """Begin run i at draw i modulo N of the seed; by default all runs begin at one place."""
-    noise_m: Annotated[float | None, tyro.conf.arg(metavar="M", help_behavior_hint="")] = None
+    noise_m: float | None = None
     """Give the scanners' ranges this standard deviation, in metres, as --noise.range-m does."""
-    sweep: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUES [...]", help_behavior_hint="")] = ()
+    sweep: tuple[str, ...] = ()
     """Vary these thresholds, all in one batch: votes=1,3,5 (a list), circle=1.1:2.0 (a range), noise.range_m=0,0.03, or
     other numbers of the robot, sensing.every_m=0.1,0.2. Lists make every combination; with a range, --settings are
     drawn by Latin hypercube."""
     settings: int = 100
     """Number of settings drawn in a sweep over ranges."""
-    start: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y DEG", help_behavior_hint="")] = None
-    """Start here, in metres and degrees (default: the world's own start)."""
+    start: tuple[float, float, float] | None = None
+    """Start at this x, y, in metres, and heading, in degrees (default: the world's own start)."""
     seed: int = 0
     """Draw the noise from this seed."""
-    engine: EngineName = "auto"
-    """Make runs on the CPU's cores (auto), or on a GPU if available (jax). The results are equal but for
-    rounding."""
-    lanes: int | None = None
-    """With --engine jax on a GPU, make this number of runs at a time; by default as many as its memory holds."""
-    workers: int | None = None
-    """Make runs on this number of cores, one each; by default on all that this process may use."""
-    cell_m: float = 0.1
-    """Make the edge of a cell this long, in metres."""
     max_steps: int | None = None
     """End a run as STEP_LIMIT after this many steps of 0.1 s; by default 6000, more in a large building."""
     nodes: int | None = None
@@ -75,7 +56,7 @@ class Trace(ResumeOptions):
     perception: Literal["auto", "triangles", "map"] = "auto"
     """Perceive by triangles of single scans, as in the paper, or by a local map, on level ground (auto: triangles on
     courses and uneven ground)."""
-    attribute: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE@X,Y [...]", help_behavior_hint="")] = ()
+    attribute: tuple[str, ...] = ()
     """Give the node that is nearest to a place in the building, in metres, an attribute: victim=true@12.5,4,
     radio_dbm=-61@3,8."""
     corrected: bool = False
@@ -83,11 +64,11 @@ class Trace(ResumeOptions):
     met again is spread over the links (frame map)."""
     animate: bool = False
     """Also write btm.html, one file that replays without a network what the operator sees of run 0."""
-    robots: Number = None
+    robots: int | None = None
     """Let this number of robots, 1 to 16, drive at the same time, and merge their maps whenever two are in contact."""
-    contact: ContactText = "all"
+    contact: str = "all"
     """With --robots: which of them exchange maps: all, none or, within M metres, range:M."""
-    team_starts: StartsText = ("apart",)
+    team_starts: tuple[str, ...] = ("apart",)
     """With --robots: begin far from each other (apart), next to the first (together), or at X,Y,HEADING_DEG each."""
     limits: TeamLimits = dataclasses.field(default_factory=TeamLimits)
     tuning: Tuning = dataclasses.field(default_factory=Tuning)
@@ -107,12 +88,12 @@ class Trace(ResumeOptions):
             raise InputError(f"{given} goes with --robots")
         if self.noise_m is not None and self.noise.range_m not in (type(self)().noise.range_m, self.noise_m):
             raise InputError("--noise-m and --noise.range-m say the same: give one of them")
-        with Out(self, "trace") as out:
+        with Out(self, arguments) as out:
             if self.robots is not None:
                 alone = "runs starts sweep settings engine lanes corrected animate resume"
                 for given in given_of(self, alone.split()):
                     raise InputError(f"--robots takes no {given}: every robot makes one run")
-                return trace_robots(out, self, arguments)
+                return _trace_robots(out, self)
             own = fields_of(
                 self, "robot runs starts seed tuning start sweep settings cell_m max_steps nodes links perception"
             )
@@ -125,13 +106,12 @@ class Trace(ResumeOptions):
                 say(f"jexplore: note: the true map has {plan.places} nodes, this one has room for {plan.size[0]}", 0)
             ledger = out.keep(tracing.asked_of_runs(plan), len(tracing.run_blocks(plan)))
             if ledger is None:
-                return out.draw_missing()
-            return self._run(out, plan, ledger, arguments)
+                return out.finish({}, {}, "")
+            return self._run(out, plan, ledger)
 
-    def _run(self, out, plan, ledger, arguments):
+    def _run(self, out, plan, ledger):
         from jexplore.engine.backend import use_compilation_cache
         from jexplore.report import trace_tables
-        from jexplore.studies.results.provenance import describe_world, engine_of
         from jexplore.studies.traces import tracing
         from jexplore.tracemap.corrected import correct_map
 
@@ -143,10 +123,8 @@ class Trace(ResumeOptions):
         runs_per_s = (len(found.table) - found.resumed) / costs.run_s if costs.run_s else None
         missing = plan.runs * plan.settings - len(found.table)
         record = out.record(
-            *(arguments, self),
             **{"runs_per_s": runs_per_s, "resumed": found.resumed, "interrupted": missing},
-            **{"worlds": [describe_world(plan.world)], "compile_s": costs.compile_s, "run_s": costs.run_s},
-            **engine_of(costs),
+            **{"worlds": [plan.world], "costs": costs},
         )
         first = correct_map(found.first) if self.corrected else found.first
         files = {"btm.json": to_json(first), "runs.parquet": found.table}
@@ -195,3 +173,58 @@ def _draw(found, first):
         f"{plan.robot.name} in {plan.world.name}",
         pitch_deg=track.pitch * (180 / math.pi),
     )
+
+
+def _trace_robots(out, options):
+    """Run a team of trace robots, and write their maps, the merged ones, tables, a picture and the station's page.
+
+    `options` are those of `jexplore trace`.
+    """
+    from jexplore.engine.backend import use_compilation_cache
+    from jexplore.studies.traces.teams.clock import run_robots
+    from jexplore.studies.traces.teams.team import merge_team, prepare_team, read_reach
+    from jexplore.tracemap import json_form
+
+    read_reach(options.contact)
+    own = fields_of(options, "robot seed tuning start cell_m max_steps nodes links perception")
+    starts = options.team_starts[0] if len(options.team_starts) == 1 else options.team_starts
+    own |= {"noise": options.own_noise, "attributes": options.attribute}
+    plan = prepare_team(options.world, options.robots, starts, **own)
+    use_compilation_cache()
+    with working(plan.runs, "robots") as on_progress:
+        logs, costs = run_robots(plan, workers=options.workers, on_progress=on_progress)
+    with note_if_slow("jexplore: merging maps"):
+        found = merge_team(plan, logs, options.contact, options.limits, costs)
+    files = {f"{name}.json": json_form.to_json(btm) for name, btm in {"btm": found.map, **found.maps}.items()}
+    files |= {"station.html": found.page(), "teams.parquet": found.table, "contacts.parquet": found.contacts}
+    record = out.record(
+        groups=[
+            {"robots": names, "outcome": merged.outcome.name, "apart": merged.left, "notes": merged.notes}
+            for names, merged in found.groups.items()
+        ],
+        worlds=[plan.world],
+        costs=costs,
+    )
+    return out.finish(record, files, _team_summary(found), {"team.png": found.figure})
+
+
+def _team_summary(found):
+    """Return the text that the command prints: the table of teams, outcomes, and how often robots merged their maps."""
+    from jexplore.driving.mission import RunOutcome
+
+    lines = [aligned_table(list(found.table), _rows(found.table), left=("outcome",))]
+    ends = collections.Counter(RunOutcome(int(log.result.outcome)).name for log in found.logs)
+    lines.append("outcomes: " + ", ".join(f"{name} {count}" for name, count in ends.most_common()))
+    wrong, outcomes = found.contacts["wrong"], found.contacts["outcome"].value_counts()
+    counts = ", ".join(f"{name} {count}" for name, count in outcomes.items())
+    merged = f", of them {int((wrong > 0).sum())} with a wrong match" if len(wrong) else ""
+    lines.append(f"merges of two robots in contact: {counts or 'none'}{merged}")
+    for names, group in found.groups.items():
+        apart = f", without {', '.join(group.left)}" if group.left else ""
+        lines.append(f"{', '.join(names)} in the end: {group.outcome.name}{apart}")
+    return "\n".join(lines)
+
+
+def _rows(table):
+    for row in table.itertuples(index=False):
+        yield [value if isinstance(value, str) else number_text(value, int(value % 1 > 0)) for value in row]

@@ -1,6 +1,7 @@
 """Arrays as short text for a page: numbers by a step, and images as the runs of cells that changed."""
 
 import base64
+import itertools
 from typing import Any
 
 import numpy as np
@@ -38,24 +39,18 @@ def runs(before: np.ndarray, after: np.ndarray) -> bytes:
     """
     before, after = before.ravel(), after.ravel()
     changed = np.flatnonzero(before != after)
-    if not len(changed):
-        return b""
     codes = after[changed]
-    first = np.flatnonzero(np.concatenate([[True], (np.diff(changed) != 1) | (np.diff(codes) != 0)]))
-    lengths = np.diff(np.concatenate([first, [len(changed)]]))
-    pieces = -(-lengths // MAX_RUN_CELLS)
-    own = np.repeat(np.arange(len(first)), pieces)  # the run of each piece
-    rank = np.arange(len(own)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    starts = changed[first][own] + MAX_RUN_CELLS * rank
-    length = np.minimum(lengths[own] - MAX_RUN_CELLS * rank, MAX_RUN_CELLS)
-    gaps = starts - np.concatenate([[0], (starts + length)[:-1]])
-    wide = np.maximum(1, -(-np.frexp(gaps)[1] // 7))  # bytes of each gap
-    table = np.zeros((len(gaps), int(wide.max()) + 1), np.uint8)
-    column = np.arange(table.shape[1])
-    for i in column[:-1]:
-        table[:, i] = (gaps >> (7 * i) & 127) | np.where(i < wide - 1, 128, 0)
-    table[np.arange(len(gaps)), wide] = 16 * length + codes[first][own]
-    return table[column <= wide[:, None]].tobytes()
+    ends = np.flatnonzero((np.diff(changed) != 1) | (np.diff(codes) != 0)) + 1
+    changed, found, at = changed.tolist(), bytearray(), 0
+    for begin, end in itertools.pairwise([0, *ends.tolist(), len(changed)]):
+        for i in range(begin, end, MAX_RUN_CELLS):
+            gap, length = changed[i] - at, min(MAX_RUN_CELLS, end - i)
+            at = changed[i] + length
+            while gap > 127:
+                found.append(gap & 127 | 128)
+                gap >>= 7
+            found += bytes((gap, 16 * length + int(codes[i])))
+    return bytes(found)
 
 
 def change(image: np.ndarray, found: bytes) -> None:

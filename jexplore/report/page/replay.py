@@ -15,19 +15,24 @@ be reached; whether the strategy takes it for a part of the room that the robot 
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class OtherRobot:
-    """Another robot of a team; fields as those of `ReplayData`."""
+class RobotReplay:
+    """A robot in an episode of n steps as F frames. Numpy arrays, on the host."""
 
     rows: np.ndarray
+    """`[n + 1]` int, the robot's cell at the start and after each step."""
     cols: np.ndarray
+    """`[n + 1]` int"""
     steps: np.ndarray
+    """`[F]` int, steps made before each frame, increasing; the last one n."""
     heading_deg: np.ndarray
+    """`[F]` int"""
     target: np.ndarray
+    """`[F, 2]` int, row and col of what the robot goes to next; -1 for none."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class ReplayData:
-    """An episode of n steps as F frames. Numpy arrays, on the host; what the page shows besides is made from them.
+class ReplayData(RobotReplay):
+    """An episode and its first robot; what the page shows besides is made from them.
 
     Raises:
       ValueError: steps that do not increase up to the last one, or a step of more than one cell.
@@ -45,16 +50,6 @@ class ReplayData:
     """`[H, W]` bool, True where the world is occupied."""
     rooms: np.ndarray | None
     """`[H, W]` int, number of the true room; -1 outside rooms. None for a world without."""
-    rows: np.ndarray
-    """`[n + 1]` int, the robot's cell at the start and after each step."""
-    cols: np.ndarray
-    """`[n + 1]` int"""
-    steps: np.ndarray
-    """`[F]` int, steps made before each frame, increasing; the last one n."""
-    heading_deg: np.ndarray
-    """`[F]` int"""
-    target: np.ndarray
-    """`[F, 2]` int, row and col of what the robot goes to next; -1 for none."""
     until: np.ndarray
     """`[F]` int, steps made when it has ended to go there."""
     known_m2: np.ndarray
@@ -63,7 +58,7 @@ class ReplayData:
     """`[F]` what changed in the map of codes, see `packing.runs`; at first from all 0."""
     has_own_room: bool = False
     """True if the strategy has a room of its own."""
-    others: tuple[OtherRobot, ...] = ()
+    others: tuple[RobotReplay, ...] = ()
     """The robots of a team besides this one."""
     clock_m: np.ndarray | None = None
     """`[F]` of a team, its clock, metres; steps then need not increase. None: a robot alone."""
@@ -90,13 +85,15 @@ class ReplayData:
             return self
         chosen = evenly(frames - 1, most)
         changes = tuple(changes_of(image for i, image in enumerate(self.maps()) if i in chosen))
-        parts = {name: getattr(self, name)[chosen] for name in ("until", "known_m2", *_BY_FRAME)}
-        parts |= {} if self.clock_m is None else {"clock_m": self.clock_m[chosen]}
-        others = tuple(
-            dataclasses.replace(other, **{name: getattr(other, name)[chosen] for name in _BY_FRAME})
-            for other in self.others
-        )
-        return dataclasses.replace(self, changes=changes, others=others, **parts)
+        clock_m = None if self.clock_m is None else self.clock_m[chosen]
+        parts: dict[str, Any] = {"changes": changes, "clock_m": clock_m}
+        parts |= {"until": self.until[chosen], "known_m2": self.known_m2[chosen], **_frames_of(self, chosen)}
+        others = tuple(dataclasses.replace(other, **_frames_of(other, chosen)) for other in self.others)
+        return dataclasses.replace(self, **parts, others=others)
+
+
+def _frames_of(robot, chosen):
+    return {name: getattr(robot, name)[chosen] for name in _BY_FRAME}
 
 
 def changes_of(images: Iterable[np.ndarray]) -> Iterator[bytes]:

@@ -68,7 +68,9 @@ def report_page(
     """
     replays, warnings, notes = list(replays), list(warnings), list(notes)
     command, settings = _asked(asked)
-    above = [command, _warnings(warnings), _tables(tables), _plots(figures, max_bytes // 2)]
+    shown_tables = "".join(f"<h3>{html_text(heading)}</h3>{_table(heading, found)}" for heading, found in tables)
+    above = [command, _section("Warnings", _list(warnings), "warnings"), _section("Tables", shown_tables)]
+    above.append(_section("Plots", _plots(figures, max_bytes // 2), "plots"))
     frames, shown = MANY_FRAMES, [replay.thinned(MANY_FRAMES) for replay in replays]
     while True:
         text = _page(title, above, settings, shown, [*notes, *_cut(replays, shown, frames)])
@@ -92,16 +94,22 @@ def _cut(replays, shown, frames):
 
 
 def _page(title, above, settings, replays, notes):
-    lines = "".join(f"<li>{html_text(note)}</li>" for note in notes)
-    below = f'<ul class="notes">{lines}</ul>' if lines else ""
-    if replays:
-        below = assembled("replays.html", own_controls="", notes=below)
-    elif below:
-        below = f"<section>{below}</section>"
+    below = _list(notes, "notes")
+    below = assembled("replays.html", own_controls="", notes=below) if replays else _section("", below)
+    sections = "\n".join(filter(None, [*above, below, settings]))
     data = script_data(page_data(replays))
-    return assembled(
-        "report.html", title=html_text(title), sections="\n".join(filter(None, [*above, below, settings])), data=data
-    )
+    return assembled("report.html", title=html_text(title), sections=sections, data=data)
+
+
+def _section(heading, body, kind=""):
+    """Return a section of the page, none without a body."""
+    own, head = f' class="{kind}"' if kind else "", f"<h2>{heading}</h2>" if heading else ""
+    return f"<section{own}>{head}{body}</section>" if body else ""
+
+
+def _list(lines, kind=""):
+    items, own = "".join(f"<li>{html_text(line)}</li>" for line in lines), f' class="{kind}"' if kind else ""
+    return f"<ul{own}>{items}</ul>" if items else ""
 
 
 def _asked(asked):
@@ -115,9 +123,9 @@ def _asked(asked):
         f"<div><dt>{html_text(name)}</dt><dd>{html_text(_cut_text(text))}</dd></div>"
         for name, text in entries[:MAX_SHOWN_ROWS]
     )
-    more = _left_out(entries, "settings")
     summary = f"<summary><h2>What was asked, and with what: {len(entries)} entries</h2></summary>"
-    return head, f"<section><details>{summary}<dl>{rows}</dl>{more}</details></section>" if rows else ""
+    folded = f"<details>{summary}<dl>{rows}</dl>{_left_out(entries, 'settings')}</details>"
+    return head, _section("", folded if rows else "")
 
 
 def _left_out(lines, what):
@@ -140,18 +148,6 @@ def _flat(value, name=""):
         yield name, json.dumps(value, ensure_ascii=False)
     else:
         yield name, _text(value)
-
-
-def _warnings(lines):
-    if not lines:
-        return ""
-    items = "".join(f"<li>{html_text(line)}</li>" for line in lines)
-    return f'<section class="warnings"><h2>Warnings</h2><ul>{items}</ul></section>'
-
-
-def _tables(tables):
-    made = [f"<h3>{html_text(heading)}</h3>{_table(heading, found)}" for heading, found in tables]
-    return f"<section><h2>Tables</h2>{''.join(made)}</section>" if made else ""
 
 
 def _table(heading, found):
@@ -184,8 +180,7 @@ def _plots(figures, max_bytes):
     kept = dict(made)
     while sum(map(len, kept.values())) > max_bytes:
         del kept[max(kept, key=lambda name: len(kept[name]))]
-    shown = (kept.get(name, f"<p>The picture {html_text(name)} is too large for this page.</p>") for name in made)
-    return f'<section class="plots"><h2>Plots</h2>{"".join(shown)}</section>' if made else ""
+    return "".join(kept.get(name, f"<p>The picture {html_text(name)} is too large for this page.</p>") for name in made)
 
 
 def _figure(name, raw, alt):

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from jexplore.report.plot import wrapped_text
+from jexplore.report.plot import PALETTE, wrapped_text
 from jexplore.report.plots.looks import FONT, GREY, looks_of, plain_axes, ratio_range, ratio_scale
 
 GOLDEN_RATIO_PART = 0.6180339887
@@ -178,3 +178,26 @@ def _legend(page, panels):
         marks.append(Line2D([], [], color=GREY, ls="none", marker="x", ms=4.5, label="one that is not COMPLETE"))
     marks.append(Line2D([], [], color="black", marker="o", ms=5.5, mfc="white", label="mean or ratio, 95 % interval"))
     page.legend(handles=marks, loc="outside lower center", ncols=3, frameon=False, fontsize=FONT)
+
+
+def league_figure(table: Any) -> Figure:
+    """Draw `league.standings`: ratios as dots with intervals, the shortest on top; pale dots are kinds of worlds."""
+    kinds = [name for name in table.columns if name.startswith("ratio of ")]
+    at = np.arange(len(table))
+    page = Figure(figsize=(8.4, 1.2 + 0.34 * len(table)), layout="constrained")
+    ax = page.subplots()
+    ax.axvline(1.0, color="#999999", linewidth=1)
+    for kind, colour in zip(kinds, PALETTE * (1 + len(kinds) // len(PALETTE))):
+        ax.plot(table[kind], at, "o", color=colour, markersize=4, alpha=0.6, label=kind.removeprefix("ratio of "))
+    low, high = table["ratio"] - table["ratio_low"], table["ratio_high"] - table["ratio"]
+    ax.errorbar(
+        table["ratio"], at, xerr=np.nan_to_num(np.stack([low, high])), fmt="D", color="black", markersize=5, capsize=3,
+        label="all worlds, 95 %",
+    )  # fmt: skip
+    ax.set_yticks(at, table["strategy"])
+    ax.invert_yaxis()
+    ratio_scale(ax, "x", *ratio_range(table[["ratio", *kinds]]))
+    ax.set_xlabel("path length over the reference's (log scale)")
+    plain_axes(ax, grid="x")
+    page.legend(loc="outside lower center", ncols=6, frameon=False, fontsize=8)
+    return page

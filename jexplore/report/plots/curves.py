@@ -1,4 +1,4 @@
-"""Curves: the explored share along the path, and training."""
+"""Curves: the explored share along the path, paths over a setting, and training."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -9,18 +9,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from jexplore.report.plot import wrapped_text
-from jexplore.report.plots.looks import (
-    FONT,
-    GREY,
-    band_of,
-    legend_below,
-    looks_of,
-    panels,
-    panels_page,
-    plain_axes,
-)
+from jexplore.report.plots.looks import FONT, GREY, curves_page, legend_below, looks_of
 
 TRAINED, CHECKED = "#9ecae1", "#d55e00"
+SPREAD, MOST_SPREAD = 0.012, 0.08
+"""Strategies stand apart by this share of the axis, all of them by the second, lest their intervals hide each other."""
+NUMBERS = 9
+"""Up to as many values of a number have a label each."""
 
 
 def quartiles(progress: Any) -> np.ndarray:
@@ -52,29 +47,67 @@ def coverage_curves_figure(
     entries: Sequence[tuple[str, Mapping[str, Any]]], *, label: str = "path length (m)"
 ) -> Figure:
     """Draw the known part of the knowable share along the path, `(world, {strategy: progress})` a panel."""
-    strategies = list(dict.fromkeys(name for _, known in entries for name in known))
-    looks, lines = looks_of(strategies), {}
-    page, n_cols = panels_page(len(entries))
-    for number, ax, lowest in panels(page, len(entries), n_cols, sharey=True):
-        world, known = entries[number]
-        driven = [part[np.isfinite(part)] for part in map(np.asarray, known.values())]
+    looks = looks_of(dict.fromkeys(name for _, known in entries for name in known))
+    page, axes = curves_page([world for world, _ in entries], label, "known of what can be known (%)", sharey=True)
+    for ax, (_, known) in zip(axes, entries):
+        known = {name: np.asarray(progress) for name, progress in known.items() if np.size(progress)}
+        driven = [part[np.isfinite(part)] for part in known.values()]
         end_m = max((float(part.max()) for part in driven if part.size), default=1.0) or 1.0
-        shown = [quartiles(part)[2] for part in known.values() if np.size(part)]
+        shown = [quartiles(part)[2] for part in known.values()]
         shown = np.concatenate([part[np.isfinite(part)] for part in shown]) if shown else np.zeros(0)
         end_m = min(end_m, 1.08 * float(shown.max(initial=0.0)) or end_m)
+        band = min(0.18, 0.6 / max(len(known), 1))  # bands overlap
         for name, progress in known.items():
-            if np.size(progress):
-                lines[name] = draw_progress(ax, progress, looks[name], band=band_of(len(known)))
+            draw_progress(ax, progress, looks[name], band=band).set_label(name)
         ax.set(xlim=(-0.01 * end_m, end_m), ylim=(0, 101))
         if not np.any(shown > 0):
             at = {"ha": "center", "va": "center", "fontsize": FONT, "color": GREY, "transform": ax.transAxes}
             ax.text(0.5, 0.5, "all was known at the start" if shown.size else "no data", **at)
-        ax.set_title(wrapped_text(world, 44, max_lines=2), fontsize=9)
-        ax.set_xlabel(label if lowest else "")
-        ax.set_ylabel("known of what can be known (%)" if number % n_cols == 0 else "")
-        plain_axes(ax, grid="both")
-    shown = [name for name in strategies if name in lines]
-    legend_below(page, [lines[name] for name in shown], shown)
+    legend_below(page)
+    return page
+
+
+def draw_response(ax: Axes, x: Any, estimate: Any, low: Any, high: Any, look: Mapping[str, Any]) -> Any:
+    """Draw one strategy's line over a setting, with an interval at every value; a NaN has none, or breaks the line."""
+    estimate, low, high = (np.asarray(part, np.float64) for part in (estimate, low, high))
+    ends = np.nan_to_num(np.maximum(np.stack([estimate - low, high - estimate]), 0.0))
+    style = {"ms": 4.5, "mec": "white", "mew": 0.5, "linewidth": 1.5, "elinewidth": 1.1, "capsize": 2.5}
+    container = ax.errorbar(x, estimate, yerr=ends, **look, **style)
+    container.lines[2][0].set_alpha(0.75)
+    return container
+
+
+def response_curves_figure(table: Any, setting: str, *, averaged: str) -> Figure:
+    """Draw curves over a setting, a column of a table from `response.response`: a panel a world, a line a strategy.
+
+    Text or truth values stand side by side in order of first appearance. `averaged` names the averaged settings: a line
+    above the panels.
+    """
+    worlds, strategies, levels = (list(dict.fromkeys(table[key])) for key in ("world", "strategy", setting))
+    is_number = np.asarray(table[setting]).dtype.kind in "iuf"
+    place = {level: float(level) if is_number else float(i) for i, level in enumerate(levels)}
+    first, last = min(place.values()), max(place.values())
+    span, looks = last - first or 1.0, looks_of(strategies)
+    if not is_number:
+        looks = {name: {**look, "linestyle": "none"} for name, look in looks.items()}
+    spread = span * min(SPREAD * (len(strategies) - 1), MOST_SPREAD)
+    page, axes = curves_page(worlds, setting, "path length (m)", sharex=True)
+    for ax, world in zip(axes, worlds):
+        own = table[table["world"] == world]
+        for name, rows in own.groupby("strategy", sort=False):
+            aside = (strategies.index(name) / max(len(strategies) - 1, 1) - 0.5) * spread
+            x = np.array([place[level] + aside for level in rows[setting]])
+            draw_response(ax, x, rows["estimate"], rows["low"], rows["high"], looks[name]).set_label(name)
+        most = float(np.nanmax(own["estimate"]))
+        ends = np.minimum(own["high"].to_numpy(np.float64), 1.5 * most)
+        ax.set_ylim(0.0, 1.06 * max(most, float(np.nanmax(ends)) if np.isfinite(ends).any() else 0.0) or 1.0)
+        if len(levels) <= NUMBERS or not is_number:
+            texts = [f"{level:.4g}" if is_number else str(level) for level in levels]
+            ax.set_xticks([place[level] for level in levels], texts, parse_math=False)
+        ax.set_xlim(first - 0.09 * span, last + 0.09 * span)
+    legend_below(page)
+    text = wrapped_text(averaged, int(12 * page.get_figwidth()), max_lines=3)
+    page.suptitle(text, fontsize=FONT, color=GREY, parse_math=False)
     return page
 
 

@@ -2,13 +2,13 @@
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from jexplore.report.plot import PALETTE, wrapped_text
 
@@ -18,11 +18,6 @@ LINES = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (5, 1.4, 1.2, 1.4)))
 LINE_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 FONT = 8  # points
 GREY = "#777777"
-
-
-def band_of(count: int) -> float:
-    """Return the opacity of the bands of a number of strategies; many are more transparent, as they overlap."""
-    return min(0.18, 0.6 / max(count, 1))
 
 
 def looks_of(strategies: Iterable[Any]) -> dict[Any, dict[str, Any]]:
@@ -53,57 +48,51 @@ def plain_axes(ax: Axes, *, grid: Any = None) -> None:
         ax.set_axisbelow(True)
 
 
-def panels(figure: Figure, count: int, n_cols: int, **how: Any) -> Iterator[tuple[int, Axes, bool]]:
-    """Yield `(number, axes, bool: none below)` of `count` panels in rows of `n_cols`; places left over stay empty."""
+def curves_page(titles: Sequence[object], xlabel: str, ylabel: str, **how: Any) -> tuple[Figure, list[Axes]]:
+    """Make a page with a panel of curves for every title; return it and the panels' axes, styled.
+
+    The axes have labels at the edge of the page only. `how` is of `Figure.subplots`: which axes are shared.
+    """
+    count = len(titles)
+    n_cols = count if count <= 3 else 2 if count == 4 else 3 if count <= 9 else 4
+    wide, tall = (3.5, 2.7) if count > 1 else (5.4, 3.6)
     n_rows = math.ceil(count / n_cols)
-    grid = figure.subplots(n_rows, n_cols, squeeze=False, **how)
-    for number, ax in enumerate(grid.flat):
+    page = Figure(figsize=(max(wide * n_cols + 0.4, 5.0), tall * n_rows + 0.3), layout="constrained")
+    grid = page.subplots(n_rows, n_cols, squeeze=False, **how).ravel()
+    for number, (ax, title) in enumerate(itertools.zip_longest(grid, titles)):
         if number >= count:
             ax.set_visible(False)
             continue
-        yield number, ax, number + n_cols >= count
+        ax.set_title(wrapped_text(title, 44, max_lines=2), fontsize=9)
+        ax.set_xlabel(xlabel if number + n_cols >= count else "")
+        ax.set_ylabel(ylabel if number % n_cols == 0 else "")
+        plain_axes(ax, grid="both")
+    return page, list(grid[:count])
 
 
-def panels_page(count: int) -> tuple[Figure, int]:
-    """Make a page for `count` panels of curves with a legend below, and return how many stand side by side."""
-    n_cols = count if count <= 3 else 2 if count == 4 else 3 if count <= 9 else 4
-    wide, tall = (3.5, 2.7) if count > 1 else (5.4, 3.6)
-    size = (max(wide * n_cols + 0.4, 5.0), tall * math.ceil(count / n_cols) + 0.3)
-    return Figure(figsize=size, layout="constrained"), n_cols
-
-
-def legend_below(figure: Figure, handles: Sequence[Any], labels: Sequence[object]) -> None:
-    """Add a legend below the panels, in as many columns as fit; the figure grows by its height."""
-    texts = [wrapped_text(label, 38, max_lines=2) for label in labels]
+def legend_below(page: Figure) -> None:
+    """Add a legend of all labelled artists below the panels, in columns that fit; the page grows by its height."""
+    found = {}
+    for ax in page.axes:
+        for handle, label in zip(*ax.get_legend_handles_labels()):
+            found.setdefault(label, handle)
+    texts = [wrapped_text(label, 38, max_lines=2) for label in found]
     longest = max((len(line) for text in texts for line in text.split("\n")), default=1)
-    n_cols = max(1, min(len(texts), int(figure.get_figwidth() / (0.068 * longest + 0.55))))
+    n_cols = max(1, min(len(texts), int(page.get_figwidth() / (0.068 * longest + 0.55))))
     n_rows = math.ceil(len(texts) / n_cols)
-    figure.set_figheight(figure.get_figheight() + n_rows * (0.16 + 0.12 * max(text.count("\n") for text in texts)))
+    page.set_figheight(page.get_figheight() + n_rows * (0.16 + 0.12 * max(text.count("\n") for text in [*texts, ""])))
     place = {"loc": "outside lower center", "ncols": n_cols, "frameon": False, "fontsize": FONT}
-    legend = figure.legend(handles, texts, **place, handlelength=2.6, columnspacing=1.4)
+    legend = page.legend(found.values(), texts, **place, handlelength=2.6, columnspacing=1.4)
     for text in legend.get_texts():
         text.set_parse_math(False)
 
 
-def ratio_ticks(low: float, high: float) -> list[float]:
-    """Return about four to seven round numbers from `low` to `high`, for an axis of ratios, on a logarithmic scale."""
-    for step in (0.01, 0.02, 0.05, 0.1, 0.2, 0.25):
-        if (high - low) / step <= 6 and high / low < 3:
-            return [round(step * k, 4) for k in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
-    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    for digits in ((1, 1.5, 2, 3, 5, 7), (1, 2, 5), (1, 3), (1,)):
-        ticks = [digit * 10.0**decade for decade, digit in itertools.product(decades, digits)]
-        ticks = [tick for tick in ticks if low * 0.999 <= tick <= high * 1.001]
-        if len(ticks) <= 7:
-            return ticks
-    return ticks[:: math.ceil(len(ticks) / 6)]
-
-
 def ratio_scale(ax: Any, name: str, low: float, high: float) -> None:
-    """Make the axis "x" or "y" logarithmic, from `low` to `high`, with round numbers."""
+    """Make the axis "x" or "y" logarithmic, from `low` to `high`, with some five round numbers."""
     axis = {"x": ax.xaxis, "y": ax.yaxis}[name]
     ax.set(**{f"{name}scale": "log"})
-    axis.set_major_locator(FixedLocator(ratio_ticks(low, high)))
+    wide = LogLocator(subs=(1, 2, 5) if high < 30 * low else (1,), numticks=7)
+    axis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]) if high < 3 * low else wide)
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_locator(NullLocator())
     ax.set(**{f"{name}lim": (low, high)})

@@ -137,7 +137,7 @@ class BoundsResult:
 
     def figure(self) -> "Figure":
         """Draw the walks and the witnesses of the first starts: a matplotlib `Figure`."""
-        from jexplore.report.plots.walks import bounds_figure
+        from jexplore.report.plots.maps import bounds_figure
 
         return bounds_figure(self)
 

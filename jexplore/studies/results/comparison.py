@@ -18,7 +18,7 @@ from jexplore.config import InputError, checked_names, unknown
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job, Outcomes
 from jexplore.exploration.state import Outcome
-from jexplore.report import plot
+from jexplore.report.plots import maps
 from jexplore.report.tables import number_text, p_text, ratio_text, spread_text
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.results import provenance, saving
@@ -165,7 +165,7 @@ class ComparisonResult(ByStrategy):
 
     def paths_figure(self) -> Figure:
         """Draw the map as each strategy saw it in episode 0, with its path: a matplotlib `Figure`."""
-        return plot.paths_figure(list(self.first.items()))
+        return maps.paths_figure(list(self.first.items()))
 
     def _repr_markdown_(self):
         return self.to_markdown()

@@ -15,7 +15,7 @@ from jexplore.config import InputError, InputWarning
 from jexplore.exploration.batch import Job, Outcomes
 from jexplore.report import folders, store
 from jexplore.report.page.report import write_report
-from jexplore.report.plots.standings import league_figure
+from jexplore.report.plots.compare import league_figure
 from jexplore.studies.replays import replays_of
 from jexplore.studies.results import provenance
 from jexplore.studies.results.details import DETAILS, details_of

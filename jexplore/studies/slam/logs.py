@@ -98,9 +98,9 @@ class SlamResult:
 
     def figure(self) -> "Figure":
         """Draw the map by odometry and the map found, each with its way."""
-        from jexplore.report.plots.slam import maps_figure
+        from jexplore.report.plots.maps import scans_figure
 
-        return maps_figure(self.map_before(0.1), self.log.odometry, self.map(0.1), self.poses)
+        return scans_figure(self.map_before(0.1), self.log.odometry, self.map(0.1), self.poses)
 
 
 @checked_names

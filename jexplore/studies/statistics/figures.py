@@ -8,7 +8,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from jexplore.config import InputError
-from jexplore.report.plots import compare, curves, sweeps
+from jexplore.report.plots import compare, curves
 from jexplore.report.plots.compare import ComparisonPanel, Estimates
 from jexplore.studies.statistics.by_world import DONE, summarise
 from jexplore.studies.statistics.league import paths_by_world, standings
@@ -129,4 +129,4 @@ def response_figure(episodes: pd.DataFrame, setting: str, *, over_worlds: bool |
     varied = [name for name in setting_columns(episodes) if name != setting and len(set(episodes[name])) > 1]
     what = "worlds" if ALL_WORLDS in set(table["world"]) else "starts"
     averaged = f"means over {table['n'].max()} {what}" + (f" and all values of {', '.join(varied)}" if varied else "")
-    return sweeps.response_curves_figure(table, setting, averaged=f"{averaged}, with 95 % intervals")
+    return curves.response_curves_figure(table, setting, averaged=f"{averaged}, with 95 % intervals")
