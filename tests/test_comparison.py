@@ -159,7 +159,7 @@ def stub(outcomes, missing=([], []), **fields):
     made = [batch.Outcomes(result(2, outcome=outcome, **fields), final) for outcome in outcomes]
     tables = [unit_table(job, one) for job, one in zip(jobs, made)]
     tables = [table.drop(index=late) for table, late in zip(tables, missing)]
-    return assemble(jobs, Ran(tables, Costs(compile_s=1.0, run_s=2.0), 0, {}))
+    return assemble(jobs, Ran(tables, Costs(compile_s=1.0, run_s=2.0), 0))
 
 
 def test_a_comparison_by_hand(tmp_path):

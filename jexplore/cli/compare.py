@@ -217,9 +217,9 @@ def finish_comparison(
     from jexplore.studies.results import saving
 
     is_whole = is_whole and not found.interrupted
-    page = record(**saving.entries_of(found), **found.made.record)
+    page = record(**saving.entries_of(found), **found.record)
     files = {**saving.comparison_files(found), **more}
     text += "".join(f"warning: {line}\n" for line in found.warnings)
     tables = functools.partial(saving.tables_of, found)
-    pictures = saving.pictures_of(figures, page, tables, jobs if is_whole else None, found.made.firsts)
+    pictures = saving.pictures_of(figures, page, tables, jobs if is_whole else None)
     return out.finish(page, files, text, pictures, interrupted=not is_whole)

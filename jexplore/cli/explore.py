@@ -45,7 +45,7 @@ class Explore(ReportOptions, SceneOptions):
             )
             with note_if_slow(COMPILING):
                 found = run_job(job)
-            measures = {"world": found.world.name, "strategy": found.strategy, **found.measures}
+            measures = found.measures
             times = {"compile_s": found.compile_s, "run_s": found.run_s}
             record = out.record(arguments, self, result=measures, worlds=[describe_world(found.world)], **times)
             lines = [f"{name:<18} {_text(value)}" for name, value in measures.items()]

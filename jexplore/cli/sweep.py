@@ -57,7 +57,7 @@ class SweepCommand(EngineOptions, ReportOptions, ResumeOptions, TrustOptions):
             print("\n".join(plans.summary_lines(plan, numbers)))
             return 0
         with Out(self, "sweep") as out:
-            ledger = out.keep(plan.asked(shard), lambda n: len(plan.after(n).units), shard)
+            ledger = out.keep(plan.asked(shard), lambda n: len(dataclasses.replace(plan, after=n).units), shard)
             if ledger is None:
                 return _show_finished(out, plan if self.report else None)
             total = sum(plan.size(number) for number in numbers)
@@ -119,7 +119,7 @@ def _finish(out: Out, found: "SweepResult", arguments: Sequence[str], options: A
         resumed=found.resumed,
         columns=found.columns,
         reference=found.reference,
-        worlds=[describe_world(plan.world(*key)) for key in plan.shapes],
+        worlds=[describe_world(world) for world in plan.places],
         **entries,
     )
     spec = dump(plain_spec(found.spec))

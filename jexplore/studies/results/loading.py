@@ -18,8 +18,8 @@ from jexplore.report.folders import UNFINISHED
 from jexplore.report.ledger import require_same
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.reproduction import reproduction_of
-from jexplore.studies.results.comparison import ComparisonResult, Made
-from jexplore.studies.results.details import EXTRAS, parts_of, read_details
+from jexplore.studies.results.comparison import ComparisonResult
+from jexplore.studies.results.details import read_details
 from jexplore.studies.sweeps.plan import SweepPlan, prepare_sweep
 from jexplore.studies.sweeps.run import SweepResult, whole_table
 from jexplore.studies.sweeps.spec import read_spec
@@ -98,13 +98,13 @@ def _as_written(folder, record):
 
 
 def _comparison(folder, record, command):
-    table, worlds = read_details(folder)
+    episodes, details, worlds = read_details(folder)
     found = ComparisonResult(
-        table.drop(columns=[name for name in EXTRAS if name in table]),
+        episodes,
         worlds,
         **{name: record[name] for name in ("compile_s", "run_s", "interrupted", "resumed")},
-        **parts_of(table),
-        made=Made(record=record),
+        details=details,
+        record=record,
         metrics=tuple(record.get("asked", {}).get("metrics", ())),
         lidar=Lidar(**record["configuration"]["lidar"]),
         rules=Rules(**record["configuration"]["rules"]),

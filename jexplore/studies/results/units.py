@@ -24,7 +24,6 @@ from jexplore.studies.results.columns import COLUMNS, TEAM_COLUMNS
 MIN_UNIT_EPISODES = 8  # least number of episodes of a unit
 UNIT_S = 1.0  # seconds that a unit should take, about: writing it takes a hundredth of that
 CELL_S = 1.3e-6  # seconds of an episode of closest+recheck, for every cell of its world (benchmarks/RESULTS.md)
-FIRSTS = 12  # jobs of which what the first episode left is kept, for a report
 MAX_UNITS_OF_JOB = 256  # of one strategy in one world
 
 
@@ -144,7 +143,6 @@ class Ran(NamedTuple):
     tables: list[pd.DataFrame]  # of `unit_table`
     costs: Costs
     resumed: int  # episodes that were there before
-    firsts: dict[int, Outcomes]  # number of a job, one of the first -> what its first unit left, if that was run here
 
 
 def run_units(
@@ -158,7 +156,7 @@ def run_units(
     Raises:
       KeyboardInterrupt: there are none.
     """
-    units, firsts = cut_jobs(jobs, 0 if ledger is None else ledger.after), {}
+    units = cut_jobs(jobs, 0 if ledger is None else ledger.after)
     earlier = [] if ledger is None or not ledger.after else [_earlier(ledger, jobs)]
     work: Work[pd.DataFrame] = Work(range(len(units)), ledger, details.to_file, details.of_file)
     resumed = sum(map(len, (*earlier, *work.done.values())))
@@ -167,20 +165,15 @@ def run_units(
         number, first, n, phase = units[number]
         return [jobs[number]._replace(starts=jobs[number].starts[first : first + n], first=first, phase=phase)]
 
-    def table_of(number, made):
-        (job, found), unit = made[0], units[number]
-        if unit.first == 0 and unit.job < FIRSTS:
-            firsts[unit.job] = found
-        return unit_table(job, found)
-
-    costs = make_units(work, jobs_of, table_of, resumed=resumed, on_progress=on_progress, **how)
+    costs = make_units(
+        work, jobs_of, lambda _, made: unit_table(*made[0]), resumed=resumed, on_progress=on_progress, **how
+    )
     if not work.done:  # a shorter run stays as it is
         raise KeyboardInterrupt
-    return Ran([*earlier, *work.results], costs, resumed, firsts)
+    return Ran([*earlier, *work.results], costs, resumed)
 
 
 def _earlier(ledger, jobs):
     """Return the episodes of the finished comparison that the run of a ledger continues, as `unit_table` does."""
-    table = details.read_details(ledger.folder.parent)[0]
-    kept = [name for name in details.EXTRAS if name in table]
-    return table.loc[table["episode"] < ledger.after, [*columns_of(jobs[0]), *kept]]
+    episodes, extras, _ = details.read_details(ledger.folder.parent)
+    return episodes[[*columns_of(jobs[0])]].join(extras)[episodes["episode"] < ledger.after]

@@ -15,6 +15,11 @@ from jexplore.studies.statistics.paired import NO_RATIO, finite_ratio, holm, mea
 DONE = "COMPLETE", "EXPLORED"
 LIMITS = "STEP_LIMIT", "PLAN_LIMIT", "PATH_LIMIT", "TIME_LIMIT"
 OUTCOMES = *DONE, "BLOCKED", *LIMITS, "STUCK"
+PLAN_LIMITS = {
+    "saturated": "some cells were too far to plan to",
+    "overflow": "a plan had to leave out some frontier clusters, mixed cells, Voronoi nodes or critical points",
+}
+"""Column that counts plans that met a limit of what they can express or have room for -> the limit."""
 
 EQUAL_SHARE = 0.95
 """Share of the less thorough episode's known cells at which a pair is compared (equal coverage)."""
@@ -164,7 +169,7 @@ def _unequal(ours, theirs, progress):
 
 
 def _flaws(episodes):
-    """Yield lines on strategies with episodes that a limit ended or refused steps, and that are one repeated."""
+    """Yield lines on strategies with episodes that a limit ended, with refused steps or targets, or one repeated."""
     groups = [(f"{world}: {name}", rows) for world, own in _groups(episodes).items() for name, rows in own.items()]
     for who, rows in groups:
         if limited := int(rows["outcome"].isin(LIMITS).sum()):
@@ -174,6 +179,13 @@ def _flaws(episodes):
     for who, rows in groups:
         if _n_different(rows) < len(rows):
             yield f"{who}: all {len(rows)} episodes are the same one, which counts once"
+    for who, rows in groups:
+        for column, what in PLAN_LIMITS.items():
+            if count := int((rows[column] > 0).sum()) if column in rows else 0:
+                yield f"{who}: in {count} of {len(rows)} episodes {what}"
+        if refused := int((rows["outcome"] == "BAD_TARGET").sum()):
+            what = "ended because the strategy chose a target that no path leads to, three times in a row"
+            yield f"{who}: {refused} of {len(rows)} episodes {what}"
 
 
 def warnings_of(episodes: pd.DataFrame, progress: Mapping[tuple[str, str], np.ndarray] | None = None) -> list[str]:

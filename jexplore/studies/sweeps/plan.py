@@ -17,14 +17,13 @@ from jexplore.exploration.metrics import Metric
 from jexplore.exploration.site import COARSE_M, reach_d2
 from jexplore.exploration.team.jobs import team_jobs
 from jexplore.policies import Strategy
-from jexplore.policies.catalogue.joined import join_strategies
 from jexplore.raycast import scans_all_round
 from jexplore.rules import Lidar, Rules
 from jexplore.studies import checks
 from jexplore.studies.metrics import ready_metrics
 from jexplore.studies.results.provenance import own_digests, world_digest
 from jexplore.studies.results.units import CELL_S, MIN_UNIT_EPISODES, UNIT_S
-from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain_spec, robot_of, team_of
+from jexplore.studies.sweeps.spec import MAX_TOTAL, Setting, Sweep, plain_spec
 from jexplore.worlds.poses import read_start
 from jexplore.worlds.world import World, ringed_shape
 
@@ -48,19 +47,13 @@ class SweepPlan:
     """A sweep that can be run."""
 
     spec: Sweep
-    settings: list[dict[str, Any]]
-    records: list[tuple[int, float, Lidar, Rules]]
+    settings: list[Setting]
     strategies: list[Strategy]
     parameters: list[dict[str, Any]]
     """Of every strategy, those of its parameters that are settings."""
-    shapes: dict[tuple[int, float], tuple[int, int]]
-    """(world, cell size) -> shape of the world with its ring."""
-    digests: list[str]
-    """Of every world and cell size."""
-    units: list[list[SweepBlock]]
-    programs: int
-    """Programs that are compiled for it."""
-    metrics: dict[str, Metric] = dataclasses.field(default_factory=dict)
+    metrics: dict[str, Metric]
+    after: int = 0
+    """Number of episodes that are left out, of each strategy in each world and setting: the first ones."""
 
     @property
     def reference(self) -> str:
@@ -68,22 +61,16 @@ class SweepPlan:
         return self.strategies[0].name
 
     @functools.cached_property
-    def together(self) -> list[Strategy]:
-        """Make the strategies share a program."""
-        return join_strategies(self.strategies)
-
-    @functools.cached_property
     def sharing(self) -> list[tuple[Lidar, Rules]]:
         """Return scanners and rules that bound those of all settings, see `site.prepare_site`."""
         widest: dict[int, Lidar] = {}
-        for record in self.records:
-            lidar: Lidar = record[2]
+        for lidar in (setting.lidar for setting in self.settings):
             one = widest.get(lidar.n_beams, lidar)
             most = {name: max(getattr(one, name), getattr(lidar, name)) for name in ("range_m", "sigma_m", "dropout")}
             farther = max(one, lidar, key=lambda each: each.mount_m)
             most |= {"forward_m": farther.forward_m, "left_m": farther.left_m}
             widest[lidar.n_beams] = dataclasses.replace(lidar, **most)
-        limits = {rules.max_steps for *_, rules in self.records}
+        limits = {setting.rules.max_steps for setting in self.settings}
         return [(lidar, Rules(max_steps=limit)) for lidar in widest.values() for limit in limits]
 
     @property
@@ -95,50 +82,65 @@ class SweepPlan:
     def columns(self) -> list[str]:
         """Return columns of settings in the table of episodes."""
         own = dict.fromkeys(f"strategy.{key}" for parameters in self.parameters for key in parameters)
-        return ["setting", *(key for key in self.settings[0] if key != "seed"), *own]
+        return ["setting", *(key for key in self.settings[0].values if key != "seed"), *own]
 
     @functools.cached_property
     def measures(self) -> list[str]:
         """Return columns of measures that some of its episodes have."""
-        return list(dict.fromkeys(name for *_, rules in self.records for name in checks.measures_of(rules)))
+        return list(dict.fromkeys(name for one in self.settings for name in checks.measures_of(one.rules)))
 
     @functools.cached_property
-    def kinds(self) -> dict[str, str]:
-        """Return columns of settings and the types of their values, see `column_type`."""
-        given = {name: [setting[name] for setting in self.settings] for name in self.settings[0]}
-        own = {f"strategy.{key}": [one.get(key) for one in self.parameters] for one in self.parameters for key in one}
-        found = given | own
-        return {name: column_type(found[name]) for name in self.columns if name in found}
+    def places(self) -> list[World]:
+        """Return the worlds in all their cell sizes."""
+        sizes = dict.fromkeys(setting.cell_m for setting in self.settings)
+        return [self.world(number, cell_m) for number in range(len(self.spec.worlds)) for cell_m in sizes]
+
+    @functools.cached_property
+    def programs(self) -> dict[Any, list[tuple[int, int]]]:
+        """Return what each program is compiled for -> numbers of the settings and worlds that share it."""
+        found = collections.defaultdict(list)
+        for i, setting in enumerate(self.settings):
+            for world in range(len(self.spec.worlds)):
+                found[_program_key(self.world(world, setting.cell_m), setting)].append((i, world))
+        return dict(found)
+
+    @functools.cached_property
+    def units(self) -> list[list[SweepBlock]]:
+        """Cut the work into units, each of one program."""
+        units = []
+        for (padded, *_), pairs in self.programs.items():
+            worth = round(UNIT_S / (CELL_S * padded[0] * padded[1]))  # so that large maps lose no more to a kill
+            size = max(min(MAX_UNIT_EPISODES, max(MIN_UNIT_EPISODES, worth)), -(-self.episodes // MAX_SWEEP_UNITS))
+            unit, room, firsts = [], size, range(self.after, self.spec.episodes, size)
+            for (setting, world), first, strategy in itertools.product(pairs, firsts, range(len(self.strategies))):
+                block = SweepBlock(setting, world, strategy, first, min(size, self.spec.episodes - first))
+                if unit and block.n > room:
+                    units.append(unit)
+                    unit, room = [], size
+                unit.append(block)
+                room -= block.n
+            units.append(unit)
+        return units
 
     def asked(self, shard: tuple[int, int] | None = None) -> dict[str, Any]:
         """Return all that the results depend on, as plain values."""
         spec = plain_spec(self.spec)
+        kinds = [(self.settings[i], world) for (i, world), *_ in self.programs.values()]  # one of each program
+        measured = [(one, world, self.metrics | checks.measures_of(one.rules)) for one, world in kinds]
+        none = np.zeros((0, 3), int)
+        jobs = [
+            Job(self.world(world, one.cell_m), strategy, none, lidar=one.lidar, rules=one.rules, metrics=metrics)
+            for one, world, metrics in measured
+            for strategy in self.strategies
+        ]
         return {
             "version": __version__,
             "episodes": spec.pop("episodes"),
             "spec": spec,
-            "digests": self.digests,
-            "own": own_digests(self._one_of_each_kind()),
+            "digests": [world_digest(world) for world in self.places],
+            "own": own_digests(jobs),
             "shard": None if shard is None else f"{shard[0] + 1}/{shard[1]}",
         }
-
-    def after(self, n: int) -> "SweepPlan":
-        """Return the plan of the episodes from number n on."""
-        given = self.spec, self.settings, self.records, self.shapes
-        units, programs = _cut(*given, len(self.strategies), self.episodes, n)
-        return dataclasses.replace(self, units=units, programs=programs)
-
-    def _one_of_each_kind(self):
-        """Yield one of all settings and worlds that share a program, with every strategy: `Job`s of no episode."""
-        kinds = {}
-        for _, cell_m, lidar, rules in self.records:
-            for world in range(len(self.spec.worlds)):
-                key = _program_key(self.world(world, cell_m), lidar, rules)
-                kinds.setdefault(key, (world, cell_m, lidar, rules))
-        for world, cell_m, lidar, rules in kinds.values():
-            for strategy in self.strategies:
-                own = {"lidar": lidar, "rules": rules, "metrics": self.metrics | checks.measures_of(rules)}
-                yield Job(self.world(world, cell_m), strategy, np.zeros((0, 3), int), **own)
 
     def size(self, unit: int) -> int:
         """Return the number of episodes of a unit."""
@@ -148,27 +150,29 @@ class SweepPlan:
         """Load a world."""
         return _loaded(os.fspath(self.spec.worlds[number]), cell_m)
 
-    def starts(self, world: World, seed: int, clearance_m: float, near_m: float) -> np.ndarray:
-        """Return the starts of all episodes in a world."""
-        return _starts(world.name, world.cell_m, seed, clearance_m, near_m, self.spec.episodes, _start_of(self.spec))
+    def starts(self, world: World, setting: Setting, n: int) -> np.ndarray:
+        """Return the starts of the first episodes in a world."""
+        start = read_start(self.spec.start, self.spec.start_m)
+        return _starts(
+            world.name, world.cell_m, setting.seed, setting.rules.clearance_m, setting.rules.near_m, n, start
+        )
 
     def first_jobs(self) -> list[tuple[Job, dict[str, Any]]]:
         """Return episode 0 of the first settings, worlds and strategies, and the setting of each."""
         every = itertools.product(*(range(len(of)) for of in (self.settings, self.spec.worlds, self.strategies)))
         blocks = [SweepBlock(s, w, k, 0, 1) for s, w, k in itertools.islice(every, FIRST_JOBS)]
-        return [(self.job(block, 0), self.settings[block.setting]) for block in blocks]
+        return [(self.job(block, 0), self.settings[block.setting].values) for block in blocks]
 
     def job(self, block: SweepBlock, phase: int) -> Job:
         """Make the `Job` of a block."""
-        seed, cell_m, lidar, rules = self.records[block.setting]
-        world = self.world(block.world, cell_m)
-        starts = self.starts(world, seed, rules.clearance_m, rules.near_m)[block.first : block.first + block.n]
-        team = team_of(self.settings[block.setting])
-        strategy = (self.strategies if team else self.together)[block.strategy]
-        robot = robot_of(self.settings[block.setting])
-        metrics = self.metrics | checks.measures_of(rules)
-        job = Job(world, strategy, starts, seed, block.first, lidar, rules, phase, metrics, robot)
-        return team_jobs([job], **team)[0]
+        setting = self.settings[block.setting]
+        world = self.world(block.world, setting.cell_m)
+        starts = self.starts(world, setting, self.spec.episodes)[block.first : block.first + block.n]
+        metrics = self.metrics | checks.measures_of(setting.rules)
+        own = setting.lidar, setting.rules, phase, metrics, setting.robot
+        return team_jobs(
+            [Job(world, self.strategies[block.strategy], starts, setting.seed, block.first, *own)], **setting.team
+        )[0]
 
 
 @functools.lru_cache(maxsize=256)
@@ -182,92 +186,46 @@ def _starts(name, cell_m, seed, clearance_m, near_m, n, start):
     return checks.ready_starts(_loaded(name, cell_m), start, n, seed=seed, rules=rules)
 
 
-def _start_of(spec):
-    return read_start(spec.start, spec.start_m)
-
-
-def column_type(values: Sequence[Any]) -> str:
-    """Return the type of a column that holds these values: "bool", "int64", "float64", or "text"."""
-    if all(isinstance(value, bool) for value in values):
-        return "bool"
-    if all(isinstance(value, int) and not isinstance(value, bool) for value in values):
-        return "int64"
-    if all(value is None or (isinstance(value, (int, float)) and not isinstance(value, bool)) for value in values):
-        return "float64"
-    return "text"
-
-
 def prepare_sweep(spec: Sweep) -> SweepPlan:
-    """Check a sweep and cut its work, before anything is compiled."""
-    names = [os.fspath(world) for world in spec.worlds]
-    require_different("worlds", names)
+    """Check a sweep, before anything is compiled."""
+    require_different("worlds", [os.fspath(world) for world in spec.worlds])
     _loaded.cache_clear()  # a file may have changed since
     _starts.cache_clear()
-    settings, records, listed = spec.expanded(), spec.records(), spec.strategy_list()
+    settings, listed = spec.records(), spec.strategy_list()
     strategies = checks.ready_strategies([name for name, _ in listed])
-    total = spec.episodes * len(settings) * len(spec.worlds) * len(strategies)
-    if total > MAX_TOTAL:
-        raise InputError(f"a sweep may have {MAX_TOTAL:,} episodes, got {total:,}; use fewer settings or episodes")
-    shapes, digests = {}, []
-    for world, name in enumerate(names):
-        for cell_m in dict.fromkeys(cell_m for _, cell_m, _, _ in records):
-            loaded = _loaded(name, cell_m)
-            shapes[world, cell_m] = ringed_shape(loaded.occupied)
-            digests.append(world_digest(loaded))
-    checks.require_different_buildings(_loaded(names[world], cell_m) for world, cell_m in shapes)
+    plan = SweepPlan(spec, settings, strategies, [own for _, own in listed], ready_metrics(spec.metrics))
+    if plan.episodes > MAX_TOTAL:
+        raise InputError(
+            f"a sweep may have {MAX_TOTAL:,} episodes, got {plan.episodes:,}; use fewer settings or episodes"
+        )
+    checks.require_different_buildings(plan.places)
     checked = set()
-    for seed, cell_m, lidar, rules in records:
-        for name in names:
-            _starts(name, cell_m, seed, rules.clearance_m, rules.near_m, 1, _start_of(spec))
-            if (name, cell_m, lidar, rules.max_steps) not in checked:
-                checked.add((name, cell_m, lidar, rules.max_steps))
-                checks.require_memory(_loaded(name, cell_m), lidar, rules)
-    units, programs = _cut(spec, settings, records, shapes, len(strategies), total)
-    parameters, metrics = [own for _, own in listed], ready_metrics(spec.metrics)
-    plan = SweepPlan(spec, settings, records, strategies, parameters, shapes, digests, units, programs, metrics)
-    teams = {(tuple(team_of(own).items()), records[i][1], records[i][3]): i for i, own in enumerate(settings)}
-    for (team, *_), i in teams.items():
-        for world, strategy in itertools.product(range(len(names)), range(len(strategies))) if team else ():
-            plan.job(SweepBlock(i, world, strategy, 0, 1), 0)  # which refuses what cannot be
+    for i, setting in enumerate(settings):
+        for number in range(len(spec.worlds)):
+            world = plan.world(number, setting.cell_m)
+            plan.starts(world, setting, 1)
+            memory = number, setting.cell_m, setting.lidar, setting.rules.max_steps
+            team = number, setting.cell_m, setting.rules, tuple(setting.team.items())
+            if memory not in checked:
+                checks.require_memory(world, setting.lidar, setting.rules)
+            if setting.team and team not in checked:
+                for strategy in range(len(strategies)):
+                    plan.job(SweepBlock(i, number, strategy, 0, 1), 0)  # which refuses what cannot be
+            checked |= {memory, team}
     return plan
 
 
-def _program_key(world, lidar, rules):
-    """Return what must agree to share a program: shape of the padded map, clearance, beams, frontier, pose, ..."""
-    padded = tuple(bucket(side) for side in ringed_shape(world.occupied))
-    around = scans_all_round(lidar)
-    frontier = rules.frontier_connectivity, rules.min_frontier_cells
-    ends = rules.stop_at is not None or rules.return_home
-    own = reach_d2(rules.clearance_m, world), lidar.n_beams, around, world.cell_m > COARSE_M, rules.pose, rules.motion
-    return padded, *own, *frontier, ends
-
-
-def _cut(spec, settings, records, shapes, n_strategies, total, after=0):
-    """Divide the work into blocks, those that share a program together: `(units, number of programs)`."""
-    by_key = collections.defaultdict(list)
-    loaded = {(world, cell_m): _loaded(os.fspath(spec.worlds[world]), cell_m) for world, cell_m in shapes}
-    for i, (_, cell_m, lidar, rules) in enumerate(records):
-        for world in range(len(spec.worlds)):
-            own = settings[i]
-            team = *map(own.get, ("robots", "coordination")), "rendezvous" in str(own.get("contact"))
-            team = *team, "range" in str(own.get("members"))
-            by_key[*_program_key(loaded[world, cell_m], lidar, rules), *team].append((i, world))
-    units = []
-    for (padded, *_), pairs in by_key.items():
-        worth = round(UNIT_S / (CELL_S * padded[0] * padded[1]))  # so that large maps lose no more to a kill
-        size = max(min(MAX_UNIT_EPISODES, max(MIN_UNIT_EPISODES, worth)), -(-total // MAX_SWEEP_UNITS))
-        unit, room = [], size
-        for (setting, world), first, strategy in itertools.product(
-            pairs, range(after, spec.episodes, size), range(n_strategies)
-        ):
-            block = SweepBlock(setting, world, strategy, first, min(size, spec.episodes - first))
-            if unit and block.n > room:
-                units.append(unit)
-                unit, room = [], size
-            unit.append(block)
-            room -= block.n
-        units.append(unit)
-    return units, len(by_key)
+def _program_key(world: World, setting: Setting) -> tuple[Any, ...]:
+    """Return what must agree to share a program: shape of the padded map, beams, clearance, pose, team, ..."""
+    lidar, rules, team = setting.lidar, setting.rules, setting.team
+    return (
+        tuple(bucket(side) for side in ringed_shape(world.occupied)),
+        *(reach_d2(rules.clearance_m, world), lidar.n_beams, scans_all_round(lidar), world.cell_m > COARSE_M),
+        *(rules.pose, rules.motion, rules.frontier_connectivity, rules.min_frontier_cells),
+        rules.stop_at is not None or rules.return_home,
+        *(*map(team.get, ("robots", "coordination")), "rendezvous" in str(team.get("contact"))),
+        "range" in str(team.get("members")),
+    )
 
 
 def in_shard(units: int, shard: tuple[int, int] | None) -> list[int]:
@@ -281,5 +239,5 @@ def summary_lines(plan: SweepPlan, units: Sequence[int]) -> list[str]:
     return [
         f"{head} x {plan.spec.episodes:,} episodes = {plan.episodes:,} episodes",
         f"{len(units):,} units of about {plan.episodes / max(len(plan.units), 1):,.0f} episodes",
-        f"{plan.programs:,} compiled programs, one for every size of map, clearance in cells and number of beams",
+        f"{len(plan.programs):,} compiled programs, one for every size of map, clearance in cells and number of beams",
     ]

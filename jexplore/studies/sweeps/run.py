@@ -170,7 +170,7 @@ def _unit_table(plan, number, made):
     """Return the table of a unit, of its jobs and their outcomes; settings by number."""
     rows = []
     for block, (job, found) in zip(plan.units[number], made):
-        own = rows_of(job._replace(strategy=plan.strategies[block.strategy]), found)
+        own = rows_of(job, found)
         own |= {name: np.full(block.n, np.nan) for name in plan.measures if name not in own}
         rows.append({"setting": np.full(block.n, block.setting), **own})
     return join_columns(rows)
@@ -188,7 +188,7 @@ def run_sweep(
     earlier = []
     if ledger is not None and ledger.after:
         table: Any = read_parquet(ledger.folder.parent / "episodes.parquet")
-        earlier, plan = [table[table["episode"] < ledger.after]], plan.after(ledger.after)
+        earlier, plan = [table[table["episode"] < ledger.after]], dataclasses.replace(plan, after=ledger.after)
     numbers = in_shard(len(plan.units), shard)
     work: Work[pd.DataFrame] = Work(numbers, ledger)
     resumed = sum(map(len, (*earlier, *work.done.values())))
@@ -216,26 +216,27 @@ def labels_of(settings: Sequence[Mapping[str, Any]]) -> list[str]:
 def whole_table(tables: Sequence[pd.DataFrame], plan: SweepPlan) -> pd.DataFrame:
     """Join tables of a sweep: rows by setting, world, strategy and episode, as in the spec, with all settings.
 
-    Settings are truth values, whole numbers, numbers (NaN where missing), or text (empty where missing).
+    Settings are truth values, whole numbers, numbers (NaN where missing), or text (empty where missing), by what they
+    are in the whole sweep.
     """
     table = pd.concat(tables, ignore_index=True)
     names = [strategy.name for strategy in plan.strategies]
-    parameters = dict(zip(names, plan.parameters))
-    for name, kind in plan.kinds.items():
-        part, _, key = name.partition(".")
-        if part == "strategy":
-            values = [parameters[strategy].get(key) for strategy in table["strategy"]]
-        else:
-            values = [plan.settings[setting][name] for setting in table["setting"]]
-        if kind == "text":
-            table[name] = ["" if value is None else str(value) for value in values]
-        else:
-            table[name] = pd.Series(values).astype(kind)
+    own = [{f"strategy.{key}": value for key, value in one.items()} for one in plan.parameters]
+    for column, rows in (("setting", [one.values for one in plan.settings]), ("strategy", own)):
+        places = table["setting"] if column == "setting" else table["strategy"].map(names.index)
+        for name in (name for name in plan.columns if any(name in row for row in rows)):
+            table[name] = _column([row.get(name) for row in rows]).iloc[places].array
     places = [
         pd.Categorical(table[column], list(given)).codes
         for column, given in (("strategy", names), ("world", map(os.fspath, plan.spec.worlds)))
     ]
     return table.iloc[np.lexsort([table["episode"], *places, table["setting"]])].reset_index(drop=True)
+
+
+def _column(values):
+    """Return values as a column of numbers or truth values if they all are, else of texts."""
+    found = pd.Series(values, dtype=None if any(value is not None for value in values) else np.float64)
+    return found if found.dtype.kind in "biuf" else pd.Series(["" if v is None else str(v) for v in values])
 
 
 @checked_names
