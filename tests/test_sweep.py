@@ -17,12 +17,14 @@ from jexplore.config import InputError
 from jexplore.engine import devices
 from jexplore.engine.runner import Costs
 from jexplore.exploration import batch
+from jexplore.report.ledger import Work
 from jexplore.rules import Lidar, Rules
+from jexplore.studies.results import units
 from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.sweeps import plan as plans
 from jexplore.studies.sweeps import run as runs
 from jexplore.studies.sweeps.axes import Range
-from jexplore.studies.sweeps.plan import SweepBlock, in_shard, prepare_sweep
+from jexplore.studies.sweeps.plan import in_shard, prepare_sweep
 from jexplore.studies.sweeps.run import sweep
 from jexplore.studies.sweeps.spec import Sweep, plain_spec, read_spec, sweep_from
 
@@ -141,21 +143,19 @@ def test_what_is_written_as_yaml_is_read_back(word):
 
 
 def test_units_share_programs_and_miss_nothing(monkeypatch):
-    monkeypatch.setattr(plans, "UNIT_S", 10.0)  # in so small worlds the largest units
+    monkeypatch.setattr(units, "UNIT_S", 10.0)  # in so small worlds the largest units
     spec = Sweep(
         WORLDS, ["closest", "random"], episodes=40, lidar={"range_m": [1, 2]}, rules={"clearance_m": [0.2, 0.3]}
     )
     plan = prepare_sweep(spec)
     assert len(plan.programs) == 2  # one a clearance; both worlds have one size
-    blocks = [block for unit in plan.units for block in unit]
-    want = {SweepBlock(s, w, k, 0, 40) for s in range(4) for w in range(2) for k in range(2)}
-    assert len(blocks) == len(set(blocks)) == len(want)
-    assert set(blocks) == want
+    blocks = [block for unit in plan.units for block in unit.blocks]
+    assert sorted(blocks) == [(job, 0, 40) for job in range(4 * 2 * 2)]
     for unit in plan.units:
-        assert len({plan.settings[block.setting].rules.clearance_m for block in unit}) == 1
-        assert sum(block.n for block in unit) <= 256
+        assert len({plan.jobs[block.job].rules.clearance_m for block in unit.blocks}) == 1
+        assert unit.n <= 256
     large = prepare_sweep(Sweep(WORLDS[:1], ["closest"], episodes=1000))
-    assert [(block.first, block.n) for unit in large.units for block in unit] == [
+    assert [(block.first, block.n) for unit in large.units for block in unit.blocks] == [
         *((first, 256) for first in (0, 256, 512)),
         (768, 232),
     ]
@@ -339,16 +339,16 @@ def test_parts_that_were_not_continued_alike_do_not_merge(tmp_path, capsys, prin
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(plans, "MAX_UNIT_EPISODES", 8)
 
-    def make_units(work, jobs_of, *_, **how):
+    def run_units(jobs, all_units, numbers, *, ledger, earlier, **how):
+        work = Work(numbers, ledger)
         for number in work.left:
-            work.put(number, pd.concat([made(job) for job in jobs_of(number)]))
-        return Costs()
+            work.put(number, pd.concat([made(jobs[i], first, n) for i, first, n in all_units[number].blocks]))
+        return units.Ran([*earlier, *work.results], Costs(), 0)
 
-    def made(job):
-        n = len(job.starts)
+    def made(job, first, n):
         rows = {name: np.zeros(n) for name in COLUMNS} | {"setting": 0, "world": WORLDS[0]}
         rows |= {"strategy": job.strategy.name, "outcome": "COMPLETE"}
-        rows |= {"episode": np.arange(job.first, job.first + n), "cell_m": 0.1}
+        rows |= {"episode": np.arange(first, first + n), "cell_m": 0.1}
         return pd.DataFrame(rows)
 
     def sweep_part(episodes, *options):
@@ -356,7 +356,7 @@ def test_parts_that_were_not_continued_alike_do_not_merge(tmp_path, capsys, prin
         (tmp_path / "s.yaml").write_text(yaml.safe_dump(asked))
         assert main.main(["sweep", "s.yaml", "--no-report", *options]) == 0
 
-    monkeypatch.setattr(runs, "make_units", make_units)
+    monkeypatch.setattr(runs, "run_units", run_units)
     for part in (1, 2):
         sweep_part(11, "--shard", f"{part}/2", "--out", f"short{part}")
     sweep_part(20, "--shard", "2/2", "--out", "short2", "--resume")

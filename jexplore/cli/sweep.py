@@ -60,7 +60,7 @@ class SweepCommand(EngineOptions, ReportOptions, ResumeOptions, TrustOptions):
             ledger = out.keep(plan.asked(shard), lambda n: len(dataclasses.replace(plan, after=n).units), shard)
             if ledger is None:
                 return _show_finished(out, plan if self.report else None)
-            total = sum(plan.size(number) for number in numbers)
+            total = sum(plan.units[number].n for number in numbers)
             how = fields_of(self, "engine lanes workers")
             with working(total, "episodes") as on_progress:
                 found = run_sweep(plan, ledger=ledger, shard=shard, **how, on_progress=on_progress)
@@ -90,7 +90,7 @@ def _show_finished(out, plan):
 def _pictures(found, record, plan):
     """Return pictures of a sweep and, with a plan, its page: name -> content."""
     from jexplore.studies.results.saving import pictures_of
-    from jexplore.studies.sweeps.run import labels_of
+    from jexplore.studies.sweeps.run import labels_of, summary_table
 
     jobs, labels = None, ()
     if plan is not None and not found.missing:
@@ -98,7 +98,8 @@ def _pictures(found, record, plan):
         labels = labels_of(settings)
     rows = len(found.summary)
     heading = "Every setting" if rows <= REPORTED_ROWS else f"The first {REPORTED_ROWS} of {rows} rows of summary.csv"
-    return pictures_of(found.figures(), record, lambda: [(heading, found.table(REPORTED_ROWS))], jobs, labels=labels)
+    tables = lambda: [(heading, summary_table(found.summary.head(REPORTED_ROWS), found.varied))]  # noqa: E731
+    return pictures_of(found.figures(), record, tables, jobs, labels=labels)
 
 
 def _finish(out: Out, found: "SweepResult", arguments: Sequence[str], options: Any, plan: Any, **entries: Any) -> int:
@@ -119,7 +120,7 @@ def _finish(out: Out, found: "SweepResult", arguments: Sequence[str], options: A
         resumed=found.resumed,
         columns=found.columns,
         reference=found.reference,
-        worlds=[describe_world(world) for world in plan.places],
+        worlds=[describe_world(world) for world in plan.worlds],
         **entries,
     )
     spec = dump(plain_spec(found.spec))

@@ -20,6 +20,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy import ndimage
 
 from jexplore import segment
@@ -41,6 +42,10 @@ _EIGHT = np.ones((3, 3), bool)
 _OPPOSITE = -0.5  # cosine of the angle at which two walls are seen that lie on opposite sides: 120 degrees and more
 
 
+def _column(head: str, decimals: int) -> Any:
+    return dataclasses.field(metadata={"head": head, "decimals": decimals})
+
+
 @dataclasses.dataclass(frozen=True)
 class Geometry:
     """Figures of one world. Shares go from 0 to 1; NaN where there is nothing to measure."""
@@ -52,48 +57,35 @@ class Geometry:
     rooms_from: str
     """`truth`: the world knows its rooms; `segments`: found by `jexplore.segment`."""
     rooms: int
-    rooms_per_100_m2: float
-    room_m2: float
+    rooms_per_100_m2: float = _column("rooms/100 m²", 2)
+    room_m2: float = _column("room m²", 1)
     """Median area of the free cells of a room, square metres."""
-    small_rooms: float
+    small_rooms: float = _column("< 8 m²", 2)
     """Share of the rooms below `SMALL_M2`."""
-    large_rooms: float
+    large_rooms: float = _column("> 60 m²", 2)
     """Share of the rooms over `LARGE_M2`."""
     openings: int
-    opening_m: float
+    opening_m: float = _column("opening m", 2)
     """Median width of an opening, metres."""
-    wide_openings: float
+    wide_openings: float = _column("≥ 1.6 m", 2)
     """Share of the openings that are `WIDE_OPENING_M` wide or wider."""
-    corridor_low_m: float
-    corridor_high_m: float
+    corridor_low_m: float = _column("corridor m", 2)
+    corridor_high_m: float = _column("to", 2)
     """Quartiles of the width of the corridors, over the cells of their axes, metres."""
-    dead_ends: float
+    dead_ends: float = _column("dead ends", 2)
     """Share of the rooms that have exactly one opening."""
-    loops_per_1000_m2: float
+    loops_per_1000_m2: float = _column("ways round/1000 m²", 1)
     """Ways round: obstacles longer than `WALL_LENGTH_M` that the free space surrounds, a 1000 m2 of free area."""
-    islands_per_100_m2: float
+    islands_per_100_m2: float = _column("islands/100 m²", 1)
     """Obstacles up to `WALL_LENGTH_M` long that touch no wall, a 100 m2 of free area."""
-    long_islands_per_100_m2: float
+    long_islands_per_100_m2: float = _column("> 0.3 m", 1)
     """Those of them that are longer than `LEG_M`."""
-    clear_share: float
+    clear_share: float = _column("clear", 2)
     """Of the free cells, those of the largest region that a robot with the clearance can drive over."""
 
 
-GEOMETRY_COLUMNS = {
-    "rooms/100 m²": ("rooms_per_100_m2", 2),
-    "room m²": ("room_m2", 1),
-    "< 8 m²": ("small_rooms", 2),
-    "> 60 m²": ("large_rooms", 2),
-    "opening m": ("opening_m", 2),
-    "≥ 1.6 m": ("wide_openings", 2),
-    "corridor m": ("corridor_low_m", 2),
-    "to": ("corridor_high_m", 2),
-    "dead ends": ("dead_ends", 2),
-    "ways round/1000 m²": ("loops_per_1000_m2", 1),
-    "islands/100 m²": ("islands_per_100_m2", 1),
-    "> 0.3 m": ("long_islands_per_100_m2", 1),
-    "clear": ("clear_share", 2),
-}
+_SHOWN = [one for one in dataclasses.fields(Geometry) if one.metadata]
+GEOMETRY_COLUMNS = {one.metadata["head"]: (one.name, one.metadata["decimals"]) for one in _SHOWN}
 """Head of a column of the table -> the field of `Geometry` and its decimals."""
 
 
@@ -141,20 +133,17 @@ def geometry(world: World, *, clearance_m: float = 0.30) -> Geometry:
 
 def geometry_table(found: Sequence[Geometry]) -> str:
     """Format `Geometry` records as an aligned Markdown table; more than one end with a row of medians."""
-    rows = [[one.world, *_texts(dataclasses.asdict(one))] for one in found]
-    if len(found) > 1:
-        rows.append(["median", *_texts(medians(found))])
-    return aligned_table(["world", *GEOMETRY_COLUMNS], rows, left=["world"])
+    fields, decimals = zip(*GEOMETRY_COLUMNS.values())
+    rows = [(one.world, *(getattr(one, field) for field in fields)) for one in found]
+    rows += [("median", *medians(found).values())] if len(found) > 1 else []
+    lines = [[name, *map(number_text, values, decimals)] for name, *values in rows]
+    return aligned_table(["world", *GEOMETRY_COLUMNS], lines, left=["world"])
 
 
 def medians(found: Sequence[Geometry]) -> dict[str, float]:
     """Compute the median of every column of the table over worlds: field -> number, NaN without any."""
-    values = {field: np.array([getattr(one, field) for one in found], float) for field, _ in GEOMETRY_COLUMNS.values()}
-    return {field: _median(some[~np.isnan(some)]) for field, some in values.items()}
-
-
-def _texts(values: dict[str, Any]) -> list[str]:
-    return [number_text(values[field], decimals) for field, decimals in GEOMETRY_COLUMNS.values()]
+    fields = [field for field, _ in GEOMETRY_COLUMNS.values()]
+    return pd.DataFrame(map(dataclasses.asdict, found))[fields].median().to_dict()
 
 
 def _median(values):

@@ -167,28 +167,23 @@ def replays_of(
       labels: what tells each job from others of its world and strategy; by default its seed.
       engine: as in `batch.run_jobs`.
     """
-    notes = []
-    given = [i for i, job in enumerate(jobs) if job.rules is None or job.rules.on_lattice]
-    if len(given) < len(jobs):
+    pairs, notes = list(zip(jobs, labels or [""] * len(jobs))), []
+    moving = [(job, label) for job, label in pairs if job.rules is None or job.rules.on_lattice]
+    if len(moving) < len(pairs):
         notes.append("There are no replays of robots that do not move from cell to cell, or whose pose is not given.")
-        labels = [labels[i] for i in given if labels]
-        jobs = [jobs[i] for i in given]
-    if not jobs:
-        return [], notes
-    if len(jobs) > MAX_PAIRS:
-        notes.append(f"Replays show the first {MAX_PAIRS} of {len(jobs)} pairs of world and strategy.")
-    jobs = list(jobs[:MAX_PAIRS])
+    if len(moving) > MAX_PAIRS:
+        notes.append(f"Replays show the first {MAX_PAIRS} of {len(moving)} pairs of world and strategy.")
+    made, moving = [], moving[:MAX_PAIRS]
     use_compilation_cache()
-    made = []
-    for episode in range(min([episodes, *(len(job.starts) for job in jobs)])):
-        have = batch.run_jobs(jobs, Lidar(), Rules(), only=episode, engine=engine).outcomes
-        shown = []
-        for job, found, label in zip(jobs, have, labels or [""] * len(jobs)):
+    for episode in range(min((len(job.starts) for job, _ in moving), default=0))[:episodes]:
+        shown, own = [], [job for job, _ in moving]
+        ran = batch.run_jobs(own, Lidar(), Rules(), only=episode, engine=engine).outcomes
+        for (job, label), found in zip(moving, ran):
             title = f"{job.strategy.name} in {job.world.name}, episode {job.first + episode}"
             if found.first is None:
                 notes.append(f"{title}: no replay, the run was interrupted before it ended.")
             elif job.team is None and found.first.plans is None:
-                notes.append(f"{title}: no replay, it made more plans than are kept.")
+                notes.append(f"{title}: {why_no_replay(job.rules or Rules())}.")
             else:
                 shown.append((job, found, label))
         most = min(max_frames, FEWER_FRAMES) if episode else max_frames

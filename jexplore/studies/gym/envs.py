@@ -67,7 +67,7 @@ class GymEnv(gymnasium.Env):
         """Drive to a cell: `(observation, reward, terminated, truncated, info)`."""
         if self._game.states is None:
             raise InputError("there is no episode yet; call reset first")
-        action = whole_numbers("action", action, (), 0, self.action_space.n - 1)
+        action = whole_numbers("action", action, (), 0, self._game.n_cells - 1)
         seen, *ends, info = self._game.turn(action[None], np.zeros(1, bool))
         seen, info = _alone(seen, info)
         reward, terminated, truncated = (end.item() for end in ends)
@@ -134,7 +134,7 @@ class GymVectorEnv(VectorEnv):
         """Drive to a cell in every lane: `(observations, rewards, terminations, truncations, infos)`."""
         if self._game.states is None:
             raise InputError("there are no episodes yet; call reset first")
-        actions = whole_numbers("actions", actions, (self.num_envs,), 0, self.single_action_space.n - 1)
+        actions = whole_numbers("actions", actions, (self.num_envs,), 0, self._game.n_cells - 1)
         seen, rewards, terminated, truncated, info = self._game.turn(actions, self._over)
         self._over = terminated | truncated
         return seen, rewards, terminated, truncated, self._with_masks(info)

@@ -49,7 +49,8 @@ class Game:
         self.max_decisions = require_whole("max_decisions", max_decisions, 1, _INTS[1])
         self.env, self.rules, self.targets = Environment(worlds, rules=rules, **settings), rules, targets
         height, width = self.env.shape
-        self.action_space = spaces.Discrete(height * width)
+        self.n_cells = height * width
+        self.action_space = spaces.Discrete(self.n_cells)
         most_m = float(np.float32(FAR / STRAIGHT * self.env.cell_m))
         most = np.array([height - 1, width - 1, 7], np.int32)
         self.observation_space = spaces.Dict(

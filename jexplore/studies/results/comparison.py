@@ -17,13 +17,14 @@ from jexplore.config import InputError, checked_names, unknown
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job
 from jexplore.report import plot
+from jexplore.report.ledger import Ledger
 from jexplore.report.tables import number_text, p_text, ratio_text, spread_text
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.results import provenance, saving
 from jexplore.studies.results.columns import TEAM_MEASURES
-from jexplore.studies.results.details import EXTRAS, MAP, PROGRESS, SEEN, WAY, Seen
+from jexplore.studies.results.details import EXTRAS, MAP, PROGRESS, SEEN, WAY, Seen, read_details
 from jexplore.studies.results.tables import ByStrategy
-from jexplore.studies.results.units import Ran, run_units
+from jexplore.studies.results.units import Ran, columns_of, cut_jobs, run_units
 from jexplore.studies.statistics import by_world, figures, teams
 from jexplore.studies.statistics.coverage import at_coverage, coverage_text
 from jexplore.studies.statistics.league import over_worlds_text, standings, standings_table
@@ -263,11 +264,16 @@ def assemble(jobs: Sequence[Job], ran: Ran) -> ComparisonResult:
     )
 
 
-def run_comparison(jobs: Sequence[Job], **how: Any) -> ComparisonResult:
-    """Run jobs; `how` as of `run_units`.
+def run_comparison(jobs: Sequence[Job], *, ledger: Ledger | None = None, **how: Any) -> ComparisonResult:
+    """Run jobs; `how` as of `run_units`. A ledger may continue a finished comparison of fewer episodes.
 
     Raises:
       KeyboardInterrupt: no episode has been finished by every strategy.
     """
     use_compilation_cache()
-    return assemble(jobs, run_units(jobs, **how))
+    after = 0 if ledger is None else ledger.after
+    earlier: list[Any] = []
+    if ledger is not None and after:
+        episodes, extras, _ = read_details(ledger.folder.parent)
+        earlier = [episodes[[*columns_of(jobs[0])]].join(extras)[episodes["episode"] < after]]
+    return assemble(jobs, run_units(jobs, cut_jobs(jobs, after), ledger=ledger, earlier=earlier, **how))

@@ -55,7 +55,7 @@ def pictures_of(
 
     def page(path):
         engine = "jax" if record["engine"] == "jax" else "auto"
-        replays, notes = replays_of(jobs, labels=labels, engine=engine) if jobs else ([], [])
+        replays, notes = replays_of(jobs or (), labels=labels, engine=engine)
         write_report(path, record, tables(), list(figures), replays, notes)
 
     return dict(figures) if jobs is None else {**figures, "report.html": page}

@@ -30,15 +30,19 @@ EQUAL_FRACTION = 0.01
 _SAME = ("start_row", "start_col", "start_heading_deg", "path_m", "turning_rad", "scans", "plans", "outcome")
 
 
+def require_once(episodes: pd.DataFrame) -> None:
+    """Refuse an episode of a strategy in a world that occurs twice."""
+    twice = episodes.duplicated(["world", "strategy", "episode"]).to_numpy()
+    if twice.any():
+        world, strategy, number = episodes.loc[twice, ["world", "strategy", "episode"]].iloc[0]
+        raise InputError(f"{world}, {strategy}: episode {number} must occur once; choose one setting first")
+
+
 def _groups(episodes):
-    """Group rows by `{world: {strategy: rows}}` in order of first appearance; refuse an episode that occurs twice."""
-    groups = {}
-    for (world, strategy), rows in episodes.groupby(["world", "strategy"], sort=False):
-        twice = rows["episode"][rows["episode"].duplicated()]
-        if len(twice):
-            raise InputError(f"{world}, {strategy}: episode {twice.iloc[0]} must occur once, got it more than once")
-        groups.setdefault(world, {})[strategy] = rows
-    return groups
+    """Group rows by `{world: {strategy: rows}}` in order of first appearance."""
+    require_once(episodes)
+    worlds = episodes.groupby("world", sort=False)
+    return {world: dict(iter(own.groupby("strategy", sort=False))) for world, own in worlds}
 
 
 def _pairs(rows, reference):

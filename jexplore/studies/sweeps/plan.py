@@ -3,26 +3,21 @@
 import collections
 import dataclasses
 import functools
-import itertools
 import os
 from collections.abc import Sequence
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import Any
 
 from jexplore.arrays.padding import bucket
 from jexplore.config import InputError, __version__, require_different
 from jexplore.exploration.batch import Job
-from jexplore.exploration.metrics import Metric
 from jexplore.exploration.site import COARSE_M, reach_d2
 from jexplore.exploration.team.jobs import team_jobs
-from jexplore.policies import Strategy
 from jexplore.raycast import scans_all_round
 from jexplore.rules import Lidar, Rules
 from jexplore.studies import checks
 from jexplore.studies.metrics import ready_metrics
 from jexplore.studies.results.provenance import own_digests, world_digest
-from jexplore.studies.results.units import CELL_S, MIN_UNIT_EPISODES, UNIT_S
+from jexplore.studies.results.units import Block, Unit, unit_size
 from jexplore.studies.sweeps.spec import MAX_TOTAL, Setting, Sweep, plain_spec
 from jexplore.worlds.poses import read_start
 from jexplore.worlds.world import World, ringed_shape
@@ -32,33 +27,29 @@ FIRST_JOBS = 12  # that a report replays
 MAX_SWEEP_UNITS = 4096  # larger sweeps have larger units
 
 
-class SweepBlock(NamedTuple):
-    """Some episodes of one strategy in one world and setting."""
-
-    setting: int
-    world: int
-    strategy: int
-    first: int
-    n: int
-
-
 @dataclasses.dataclass(frozen=True)
 class SweepPlan:
     """A sweep that can be run."""
 
     spec: Sweep
     settings: list[Setting]
-    strategies: list[Strategy]
+    strategies: list[str]
+    """Names."""
     parameters: list[dict[str, Any]]
     """Of every strategy, those of its parameters that are settings."""
-    metrics: dict[str, Metric]
+    jobs: list[Job]
+    """By setting, world and strategy."""
     after: int = 0
     """Number of episodes that are left out, of each strategy in each world and setting: the first ones."""
 
     @property
     def reference(self) -> str:
         """Name of the first strategy."""
-        return self.strategies[0].name
+        return self.strategies[0]
+
+    def setting_of(self, job: int) -> int:
+        """Return the number of the setting of a job."""
+        return job // (len(self.jobs) // len(self.settings))
 
     @functools.cached_property
     def sharing(self) -> list[tuple[Lidar, Rules]]:
@@ -87,144 +78,99 @@ class SweepPlan:
     @functools.cached_property
     def measures(self) -> list[str]:
         """Return columns of measures that some of its episodes have."""
-        return list(dict.fromkeys(name for one in self.settings for name in checks.measures_of(one.rules)))
+        return list(dict.fromkeys(name for job in self.jobs for name in job.metrics))
 
     @functools.cached_property
-    def places(self) -> list[World]:
+    def worlds(self) -> list[World]:
         """Return the worlds in all their cell sizes."""
-        sizes = dict.fromkeys(setting.cell_m for setting in self.settings)
-        return [self.world(number, cell_m) for number in range(len(self.spec.worlds)) for cell_m in sizes]
+        return list({id(job.world): job.world for job in self.jobs}.values())
 
     @functools.cached_property
-    def programs(self) -> dict[Any, list[tuple[int, int]]]:
-        """Return what each program is compiled for -> numbers of the settings and worlds that share it."""
+    def programs(self) -> dict[Any, list[int]]:
+        """Return what each program is compiled for -> numbers of the jobs that share it."""
         found = collections.defaultdict(list)
-        for i, setting in enumerate(self.settings):
-            for world in range(len(self.spec.worlds)):
-                found[_program_key(self.world(world, setting.cell_m), setting)].append((i, world))
+        for i, job in enumerate(self.jobs):
+            found[_program_key(job)].append(i)
         return dict(found)
 
     @functools.cached_property
-    def units(self) -> list[list[SweepBlock]]:
+    def units(self) -> list[Unit]:
         """Cut the work into units, each of one program."""
-        units = []
-        for (padded, *_), pairs in self.programs.items():
-            worth = round(UNIT_S / (CELL_S * padded[0] * padded[1]))  # so that large maps lose no more to a kill
-            size = max(min(MAX_UNIT_EPISODES, max(MIN_UNIT_EPISODES, worth)), -(-self.episodes // MAX_SWEEP_UNITS))
-            unit, room, firsts = [], size, range(self.after, self.spec.episodes, size)
-            for (setting, world), first, strategy in itertools.product(pairs, firsts, range(len(self.strategies))):
-                block = SweepBlock(setting, world, strategy, first, min(size, self.spec.episodes - first))
-                if unit and block.n > room:
-                    units.append(unit)
-                    unit, room = [], size
-                unit.append(block)
-                room -= block.n
-            units.append(unit)
+        units, k, n = [], len(self.strategies), self.spec.episodes
+        for (padded, *_), jobs in self.programs.items():  # so that large maps lose no more to a kill
+            size = max(min(MAX_UNIT_EPISODES, unit_size(padded[0] * padded[1])), -(-self.episodes // MAX_SWEEP_UNITS))
+            own, firsts = [], range(self.after, n, size)
+            blocks = [Block(i, first, min(size, n - first)) for i in jobs for first in firsts]
+            for block in sorted(blocks, key=lambda block: (block.job // k, block.first, block.job)):
+                if own and sum(one.n for one in own) + block.n > size:
+                    units.append(Unit(tuple(own), len(units)))
+                    own = []
+                own.append(block)
+            units.append(Unit(tuple(own), len(units)))
         return units
 
     def asked(self, shard: tuple[int, int] | None = None) -> dict[str, Any]:
         """Return all that the results depend on, as plain values."""
         spec = plain_spec(self.spec)
-        kinds = [(self.settings[i], world) for (i, world), *_ in self.programs.values()]  # one of each program
-        measured = [(one, world, self.metrics | checks.measures_of(one.rules)) for one, world in kinds]
-        none = np.zeros((0, 3), int)
-        jobs = [
-            Job(self.world(world, one.cell_m), strategy, none, lidar=one.lidar, rules=one.rules, metrics=metrics)
-            for one, world, metrics in measured
-            for strategy in self.strategies
-        ]
+        kinds = {(key, i % len(self.strategies)): self.jobs[i] for key, own in self.programs.items() for i in own[::-1]}
         return {
             "version": __version__,
             "episodes": spec.pop("episodes"),
             "spec": spec,
-            "digests": [world_digest(world) for world in self.places],
-            "own": own_digests(jobs),
+            "digests": [world_digest(world) for world in self.worlds],
+            "own": own_digests(kinds.values()),  # of one setting and world of each program
             "shard": None if shard is None else f"{shard[0] + 1}/{shard[1]}",
         }
 
-    def size(self, unit: int) -> int:
-        """Return the number of episodes of a unit."""
-        return sum(block.n for block in self.units[unit])
-
-    def world(self, number: int, cell_m: float) -> World:
-        """Load a world."""
-        return _loaded(os.fspath(self.spec.worlds[number]), cell_m)
-
-    def starts(self, world: World, setting: Setting, n: int) -> np.ndarray:
-        """Return the starts of the first episodes in a world."""
-        start = read_start(self.spec.start, self.spec.start_m)
-        return _starts(
-            world.name, world.cell_m, setting.seed, setting.rules.clearance_m, setting.rules.near_m, n, start
-        )
-
     def first_jobs(self) -> list[tuple[Job, dict[str, Any]]]:
         """Return episode 0 of the first settings, worlds and strategies, and the setting of each."""
-        every = itertools.product(*(range(len(of)) for of in (self.settings, self.spec.worlds, self.strategies)))
-        blocks = [SweepBlock(s, w, k, 0, 1) for s, w, k in itertools.islice(every, FIRST_JOBS)]
-        return [(self.job(block, 0), self.settings[block.setting].values) for block in blocks]
-
-    def job(self, block: SweepBlock, phase: int) -> Job:
-        """Make the `Job` of a block."""
-        setting = self.settings[block.setting]
-        world = self.world(block.world, setting.cell_m)
-        starts = self.starts(world, setting, self.spec.episodes)[block.first : block.first + block.n]
-        metrics = self.metrics | checks.measures_of(setting.rules)
-        own = setting.lidar, setting.rules, phase, metrics, setting.robot
-        return team_jobs(
-            [Job(world, self.strategies[block.strategy], starts, setting.seed, block.first, *own)], **setting.team
-        )[0]
-
-
-@functools.lru_cache(maxsize=256)
-def _loaded(name, cell_m):
-    return checks.ready_worlds([name], cell_m)[0]
-
-
-@functools.lru_cache(maxsize=4096)
-def _starts(name, cell_m, seed, clearance_m, near_m, n, start):
-    rules = Rules(clearance_m=clearance_m, near_m=near_m)
-    return checks.ready_starts(_loaded(name, cell_m), start, n, seed=seed, rules=rules)
+        jobs = [job._replace(starts=job.starts[:1]) for job in self.jobs[:FIRST_JOBS]]
+        return [(job, self.settings[self.setting_of(i)].values) for i, job in enumerate(jobs)]
 
 
 def prepare_sweep(spec: Sweep) -> SweepPlan:
-    """Check a sweep, before anything is compiled."""
-    require_different("worlds", [os.fspath(world) for world in spec.worlds])
-    _loaded.cache_clear()  # a file may have changed since
-    _starts.cache_clear()
+    """Check a sweep and load all that it needs, before anything is compiled."""
+    names = [os.fspath(world) for world in spec.worlds]
+    require_different("worlds", names)
     settings, listed = spec.records(), spec.strategy_list()
     strategies = checks.ready_strategies([name for name, _ in listed])
-    plan = SweepPlan(spec, settings, strategies, [own for _, own in listed], ready_metrics(spec.metrics))
-    if plan.episodes > MAX_TOTAL:
-        raise InputError(
-            f"a sweep may have {MAX_TOTAL:,} episodes, got {plan.episodes:,}; use fewer settings or episodes"
-        )
-    checks.require_different_buildings(plan.places)
-    checked = set()
-    for i, setting in enumerate(settings):
-        for number in range(len(spec.worlds)):
-            world = plan.world(number, setting.cell_m)
-            plan.starts(world, setting, 1)
-            memory = number, setting.cell_m, setting.lidar, setting.rules.max_steps
-            team = number, setting.cell_m, setting.rules, tuple(setting.team.items())
-            if memory not in checked:
-                checks.require_memory(world, setting.lidar, setting.rules)
-            if setting.team and team not in checked:
-                for strategy in range(len(strategies)):
-                    plan.job(SweepBlock(i, number, strategy, 0, 1), 0)  # which refuses what cannot be
-            checked |= {memory, team}
-    return plan
+    total = spec.episodes * len(settings) * len(names) * len(strategies)
+    if total > MAX_TOTAL:
+        raise InputError(f"a sweep may have {MAX_TOTAL:,} episodes, got {total:,}; use fewer settings or episodes")
+    sizes = dict.fromkeys(setting.cell_m for setting in settings)
+    worlds = {
+        (name, cell_m): world for cell_m in sizes for name, world in zip(names, checks.ready_worlds(names, cell_m))
+    }
+    checks.require_different_buildings(worlds.values())
+    start, metrics = read_start(spec.start, spec.start_m), ready_metrics(spec.metrics)
+    jobs, starts, checked = [], {}, set()
+    for setting in settings:
+        lidar, rules = setting.lidar, setting.rules
+        own = metrics | checks.measures_of(rules)
+        for name in names:
+            world = worlds[name, setting.cell_m]
+            where = name, setting.cell_m, setting.seed, rules.clearance_m, rules.near_m
+            if where not in starts:
+                starts[where] = checks.ready_starts(world, start, spec.episodes, seed=setting.seed, rules=rules)
+            if (memory := (name, setting.cell_m, lidar, rules.max_steps)) not in checked:
+                checks.require_memory(world, lidar, rules)
+                checked.add(memory)
+            more = setting.seed, 0, lidar, rules, 0, own, setting.robot
+            jobs += team_jobs([Job(world, one, starts[where], *more) for one in strategies], **setting.team)
+    return SweepPlan(spec, settings, [one.name for one in strategies], [own for _, own in listed], jobs)
 
 
-def _program_key(world: World, setting: Setting) -> tuple[Any, ...]:
+def _program_key(job: Job) -> tuple[Any, ...]:
     """Return what must agree to share a program: shape of the padded map, beams, clearance, pose, team, ..."""
-    lidar, rules, team = setting.lidar, setting.rules, setting.team
+    world, lidar, rules, team = job.world, job.lidar, job.rules, job.team
+    assert lidar is not None
+    assert rules is not None
     return (
         tuple(bucket(side) for side in ringed_shape(world.occupied)),
         *(reach_d2(rules.clearance_m, world), lidar.n_beams, scans_all_round(lidar), world.cell_m > COARSE_M),
         *(rules.pose, rules.motion, rules.frontier_connectivity, rules.min_frontier_cells),
         rules.stop_at is not None or rules.return_home,
-        *(*map(team.get, ("robots", "coordination")), "rendezvous" in str(team.get("contact"))),
-        "range" in str(team.get("members")),
+        team and (team.robots, team.coordinates, "rendezvous" in team.contact, any(m.range_m for m in team.members)),
     )
 
 

@@ -4,7 +4,7 @@ import dataclasses
 import itertools
 import math
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +19,9 @@ from jexplore.config import (
     require_whole,
     unknown,
 )
+from jexplore.report.store import jsonable
 from jexplore.rules import POSES, Lidar, Odometry, Robot, Rules
+from jexplore.studies.checks import list_of
 from jexplore.studies.metrics import named_metrics
 from jexplore.studies.sweeps.axes import Range, combined
 from jexplore.users import bare, name_of
@@ -105,17 +107,10 @@ class Sweep:
     """Number of settings to draw, with ranges; axes of lists are drawn from as well."""
 
     def __post_init__(self) -> None:
-        for name in ("worlds", "strategies", "settings"):
-            given = getattr(self, name)
-            if isinstance(given, (str, os.PathLike)) or (name == "strategies" and isinstance(given, Mapping)):
-                given = (given,)
-            if isinstance(given, (set, frozenset)):
-                raise InputError(f"{name} must be a list, got a set, which has no order")
-            if not isinstance(given, Iterable) or isinstance(given, Mapping):
-                raise InputError(f"{name} must be a list, got {given!r}")
-            object.__setattr__(self, name, tuple(given))
-            if name != "settings" and not getattr(self, name):
-                raise InputError(f"{name} must name at least one, got none")
+        strategies = (self.strategies,) if isinstance(self.strategies, Mapping) else self.strategies
+        lists = {"worlds": self.worlds, "strategies": strategies, "settings": self.settings}
+        for name, given in lists.items():
+            object.__setattr__(self, name, tuple(list_of(name, given)) if given or name != "settings" else ())
         for world in self.worlds:
             if not isinstance(world, (str, os.PathLike)):
                 raise InputError(f"worlds must be names or files, got {world!r}")
@@ -302,24 +297,10 @@ def read_spec(path: str | os.PathLike[str]) -> Sweep:
 
 def plain_spec(spec: Sweep) -> dict[str, Any]:
     """Convert a `Sweep` to plain values, from which `sweep_from` makes it again."""
-
-    def simple(value):
-        if isinstance(value, Range):
-            return {"low": value.low, "high": value.high, **({"log": True} if value.log else {})}
-        if isinstance(value, Mapping):
-            return {str(key): simple(one) for key, one in value.items()}
-        if isinstance(value, np.ndarray):
-            return value.tolist()
-        if isinstance(value, (list, tuple)):
-            return [simple(one) for one in value]
-        if isinstance(value, os.PathLike):
-            return os.fspath(value)
-        if callable(value):
-            function = bare(getattr(value, "function", value))
-            return f"{function.__module__}:{name_of(function)}"
-        return value.item() if isinstance(value, np.generic) else value
-
-    def is_empty(value):
-        return value is None or (isinstance(value, (Mapping, tuple)) and not value)
-
-    return {name: simple(value) for name, value in vars(spec).items() if not is_empty(value)}
+    given = {name: value for name, value in vars(spec).items() if value is not None}
+    given = {name: value for name, value in given.items() if not isinstance(value, (Mapping, tuple)) or value}
+    for name, metric in spec.metrics.items():
+        if not isinstance(metric, str):
+            function = bare(getattr(metric, "function", metric))
+            given["metrics"] = given["metrics"] | {name: f"{function.__module__}:{name_of(function)}"}
+    return jsonable(given)
