@@ -17,7 +17,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any, get_args, get_type_hints
 
 import numpy as np
 import pandas as pd
@@ -42,13 +42,12 @@ _EIGHT = np.ones((3, 3), bool)
 _OPPOSITE = -0.5  # cosine of the angle at which two walls are seen that lie on opposite sides: 120 degrees and more
 
 
-def _column(head: str, decimals: int) -> Any:
-    return dataclasses.field(metadata={"head": head, "decimals": decimals})
-
-
 @dataclasses.dataclass(frozen=True)
 class Geometry:
-    """Figures of one world. Shares go from 0 to 1; NaN where there is nothing to measure."""
+    """Figures of one world. Shares go from 0 to 1; NaN where there is nothing to measure.
+
+    Fields that a table shows say the head of their column and their decimals.
+    """
 
     world: str
     """Name of the world."""
@@ -57,35 +56,35 @@ class Geometry:
     rooms_from: str
     """`truth`: the world knows its rooms; `segments`: found by `jexplore.segment`."""
     rooms: int
-    rooms_per_100_m2: float = _column("rooms/100 m²", 2)
-    room_m2: float = _column("room m²", 1)
+    rooms_per_100_m2: Annotated[float, "rooms/100 m²", 2]
+    room_m2: Annotated[float, "room m²", 1]
     """Median area of the free cells of a room, square metres."""
-    small_rooms: float = _column("< 8 m²", 2)
+    small_rooms: Annotated[float, "< 8 m²", 2]
     """Share of the rooms below `SMALL_M2`."""
-    large_rooms: float = _column("> 60 m²", 2)
+    large_rooms: Annotated[float, "> 60 m²", 2]
     """Share of the rooms over `LARGE_M2`."""
     openings: int
-    opening_m: float = _column("opening m", 2)
+    opening_m: Annotated[float, "opening m", 2]
     """Median width of an opening, metres."""
-    wide_openings: float = _column("≥ 1.6 m", 2)
+    wide_openings: Annotated[float, "≥ 1.6 m", 2]
     """Share of the openings that are `WIDE_OPENING_M` wide or wider."""
-    corridor_low_m: float = _column("corridor m", 2)
-    corridor_high_m: float = _column("to", 2)
+    corridor_low_m: Annotated[float, "corridor m", 2]
+    corridor_high_m: Annotated[float, "to", 2]
     """Quartiles of the width of the corridors, over the cells of their axes, metres."""
-    dead_ends: float = _column("dead ends", 2)
+    dead_ends: Annotated[float, "dead ends", 2]
     """Share of the rooms that have exactly one opening."""
-    loops_per_1000_m2: float = _column("ways round/1000 m²", 1)
+    loops_per_1000_m2: Annotated[float, "ways round/1000 m²", 1]
     """Ways round: obstacles longer than `WALL_LENGTH_M` that the free space surrounds, a 1000 m2 of free area."""
-    islands_per_100_m2: float = _column("islands/100 m²", 1)
+    islands_per_100_m2: Annotated[float, "islands/100 m²", 1]
     """Obstacles up to `WALL_LENGTH_M` long that touch no wall, a 100 m2 of free area."""
-    long_islands_per_100_m2: float = _column("> 0.3 m", 1)
+    long_islands_per_100_m2: Annotated[float, "> 0.3 m", 1]
     """Those of them that are longer than `LEG_M`."""
-    clear_share: float = _column("clear", 2)
+    clear_share: Annotated[float, "clear", 2]
     """Of the free cells, those of the largest region that a robot with the clearance can drive over."""
 
 
-_SHOWN = [one for one in dataclasses.fields(Geometry) if one.metadata]
-GEOMETRY_COLUMNS = {one.metadata["head"]: (one.name, one.metadata["decimals"]) for one in _SHOWN}
+_COLUMNS = {name: get_args(hint)[1:] for name, hint in get_type_hints(Geometry, include_extras=True).items()}
+GEOMETRY_COLUMNS = {column[0]: (name, column[1]) for name, column in _COLUMNS.items() if column}
 """Head of a column of the table -> the field of `Geometry` and its decimals."""
 
 
@@ -143,7 +142,7 @@ def geometry_table(found: Sequence[Geometry]) -> str:
 def medians(found: Sequence[Geometry]) -> dict[str, float]:
     """Compute the median of every column of the table over worlds: field -> number, NaN without any."""
     fields = [field for field, _ in GEOMETRY_COLUMNS.values()]
-    return pd.DataFrame(map(dataclasses.asdict, found))[fields].median().to_dict()
+    return pd.DataFrame([dataclasses.asdict(one) for one in found])[fields].median().to_dict()
 
 
 def _median(values):

@@ -3,6 +3,7 @@
 import collections
 import dataclasses
 import functools
+import itertools
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,7 +19,7 @@ from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job
 from jexplore.report import plot
 from jexplore.report.ledger import Ledger
-from jexplore.report.tables import number_text, p_text, ratio_text, spread_text
+from jexplore.report.tables import table_cells
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.results import provenance, saving
 from jexplore.studies.results.columns import TEAM_MEASURES
@@ -30,6 +31,12 @@ from jexplore.studies.statistics.coverage import at_coverage, coverage_text
 from jexplore.studies.statistics.league import over_worlds_text, standings, standings_table
 from jexplore.studies.statistics.paired import MIN_PAIRS
 from jexplore.worlds.world import World
+
+SHORT_TABLE = (
+    *("world", "strategy", "n", "path m", "ratio to the first", "ratio to the reference", "p (Holm)", "explored"),
+    *("outcomes", "best in"),
+)
+"""Columns of tables that a notebook shows."""
 
 
 @checked_names
@@ -208,25 +215,16 @@ class ComparisonResult(ByStrategy):
 
     def _short_table(self):
         """Return names of the columns and rows of text: every world's, or of many worlds the statistics over all."""
-        if len(self.worlds) > 1 and len(self.summary) > MAX_TABLE_ROWS:
-            head = ("strategy", "ratio to the first", "p (Holm)", "best in")
-            rows = self.standings.to_dict("records")
-            return head, [(row["strategy"], *_beside_first(row), f"{row['best']} of {row['worlds']}") for row in rows]
-        lines = []
-        for row in self.summary.to_dict("records"):
-            line = (row["world"], row["strategy"], str(row["n"]), spread_text(row["mean"], row["sd"]))
-            lines.append((*line, *_beside_first(row), number_text(row["explored_fraction"], 3), row["outcomes"]))
-        return ("world", "strategy", "n", "path m", "ratio to the first", "p (Holm)", "explored", "outcomes"), lines
+        many = len(self.worlds) > 1 and len(self.summary) > MAX_TABLE_ROWS
+        text = standings_table(self.standings) if many else by_world.markdown_table(self.summary)
+        head, lines, _ = table_cells(text)
+        shown = [name in SHORT_TABLE for name in head]
+        return [*itertools.compress(head, shown)], [[*itertools.compress(line, shown)] for line in lines]
 
     def __repr__(self) -> str:
         n, m = len(set(self.episodes["strategy"])), len(self.worlds)
         strategies, worlds = "strategy" if n == 1 else "strategies", "world" if m == 1 else "worlds"
         return f"<Comparison of {n} {strategies} in {m} {worlds}, {len(self.episodes)} episodes>"
-
-
-def _beside_first(row):
-    """Format the ratio to the first strategy with its interval, and the corrected p."""
-    return ratio_text(row["ratio"], row["ratio_low"], row["ratio_high"]), p_text(row["p_holm"])
 
 
 def assemble(jobs: Sequence[Job], ran: Ran) -> ComparisonResult:

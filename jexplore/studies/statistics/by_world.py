@@ -38,10 +38,10 @@ def require_once(episodes: pd.DataFrame) -> None:
         raise InputError(f"{world}, {strategy}: episode {number} must occur once; choose one setting first")
 
 
-def _groups(episodes):
+def _groups(episodes) -> dict[str, dict[str, Any]]:
     """Group rows by `{world: {strategy: rows}}` in order of first appearance."""
     require_once(episodes)
-    worlds = episodes.groupby("world", sort=False)
+    worlds: Any = episodes.groupby("world", sort=False)
     return {world: dict(iter(own.groupby("strategy", sort=False))) for world, own in worlds}
 
 

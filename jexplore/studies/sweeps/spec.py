@@ -178,7 +178,7 @@ class Sweep:
             for row in combined(some, self.draws or 1, seed, WHOLE_SETTINGS):
                 setting = {**row, **one}
                 found.append({key: setting.get(key, DEFAULTS[key]) for key in names})
-        if len({tuple(map(_same, setting.values())) for setting in found}) < len(found):
+        if len({tuple(setting.values()) for setting in found}) < len(found):
             raise InputError("settings must differ: a value is given twice, or a range of whole numbers is too short")
         return found
 
@@ -207,11 +207,6 @@ class Sweep:
         names = [name for name, _ in found]
         require_different("strategies", names)
         return found
-
-
-def _same(value):
-    """Return a key that is equal for equal values: 3 and 3.0 are, 1 and true are not."""
-    return repr(float(value)) if isinstance(value, (int, float)) and not isinstance(value, bool) else repr(value)
 
 
 def _setting(values):
@@ -297,7 +292,7 @@ def read_spec(path: str | os.PathLike[str]) -> Sweep:
 
 def plain_spec(spec: Sweep) -> dict[str, Any]:
     """Convert a `Sweep` to plain values, from which `sweep_from` makes it again."""
-    given = {name: value for name, value in vars(spec).items() if value is not None}
+    given: dict[str, Any] = {name: value for name, value in vars(spec).items() if value is not None}
     given = {name: value for name, value in given.items() if not isinstance(value, (Mapping, tuple)) or value}
     for name, metric in spec.metrics.items():
         if not isinstance(metric, str):
