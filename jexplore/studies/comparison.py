@@ -67,6 +67,33 @@ def compare(
       InputWarning: as `batch.run_jobs`.
     """
     require_engine(engine, lanes)
+    _require_setup(keep, out, overwrite, resume, robots)
+    settings = {"episodes": episodes, "seed": seed, "cell_m": cell_m, "start": start, "start_m": start_m}
+    settings |= {"within": within, "from_map": from_map, "lidar": lidar, "rules": rules, "robot": robot}
+    team = {"robots": robots, "coordination": coordination, "contact": contact, "team_starts": team_starts}
+    more = {"members": members, "metrics": metrics, "pose": pose, "odometry": odometry}
+    jobs = checks.prepare_jobs(worlds, strategies, **settings, **team, **more)
+    how = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep}
+    with progress_bar(progress, sum(len(job.starts) for job in jobs), "episodes", on_progress) as moved:
+        run = functools.partial(_run, jobs, settings, how, on_progress=moved)
+        if out is None:
+            return run()
+        with saving.claimed_by_call(out, overwrite=overwrite, resume=resume) as folder:
+            return _run_in_folder(folder, run, jobs, _asked(jobs, how), resume=resume, trust=trust)
+
+
+def _run_in_folder(folder, run, jobs, asked, **how):
+    """Run a comparison with a folder that keeps its units and finally holds it."""
+    ledger = open_ledger(folder, asked, lambda after: len(cut_jobs(jobs, after)), **how)
+    if ledger is None:
+        return dataclasses.replace(loading.load(folder.path), jobs=tuple(jobs))
+    found = run(ledger=ledger)
+    saving.write_comparison(folder, found)
+    return found
+
+
+def _require_setup(keep: str | None, out: object, overwrite: bool, resume: bool, robots: object) -> None:
+    """Refuse what does not go together."""
     if keep is not None and robots is not None:
         raise InputError("ways and maps are kept of one robot: leave out keep or robots")
     if keep is not None and keep not in tuple(RECORDS):
@@ -75,35 +102,22 @@ def compare(
         raise InputError("resume goes on with a run and overwrite replaces it: give one of them")
     if out is None and (overwrite or resume):
         raise InputError("overwrite and resume are for a folder: name it with out")
-    settings = {"episodes": episodes, "seed": seed, "cell_m": cell_m, "start": start, "start_m": start_m}
-    settings |= {"within": within, "from_map": from_map, "lidar": lidar, "rules": rules, "robot": robot}
-    team = {"robots": robots, "coordination": coordination, "contact": contact, "team_starts": team_starts}
-    more = {"members": members, "metrics": metrics, "pose": pose, "odometry": odometry}
-    jobs = checks.prepare_jobs(worlds, strategies, **settings, **team, **more)
-    settings |= {name: getattr(jobs[0], name) for name in ("lidar", "rules", "robot")}
-    if not (from_map is None or isinstance(from_map, (str, os.PathLike))):
-        settings["from_map"] = type(from_map).__name__  # an array
-    how = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep}
-    asked = {"command": "compare", **provenance.asked(jobs, keep), "bound_seconds": None}
-    names = {"worlds": list(asked["worlds"]), "strategies": list(asked["strategies"])}
-    record = {"command": ["jx", "compare"], "configuration": {**names, **settings, **how}, "asked": asked}
-    with progress_bar(progress, sum(len(job.starts) for job in jobs), "episodes", on_progress) as moved:
-        run = functools.partial(_run, jobs, record, on_progress=moved, **how)
-        if out is None:
-            return run()
-        with saving.claimed_by_call(out, overwrite=overwrite, resume=resume) as folder:
-            ledger = open_ledger(folder, asked, lambda n: len(cut_jobs(jobs, n)), resume=resume, trust=trust)
-            if ledger is None:
-                return dataclasses.replace(loading.load(folder.path), jobs=tuple(jobs))
-            found = run(ledger=ledger)
-            saving.write_comparison(folder, found)
-            return found
 
 
-def _run(jobs: Sequence[Job], record: Mapping[str, Any], **how: Any) -> ComparisonResult:
+def _asked(jobs: Sequence[Job], how: Mapping[str, Any]) -> dict[str, Any]:
+    """Return all that results depend on, for a ledger."""
+    return {"command": "compare", **provenance.asked(jobs, how["keep"]), "bound_seconds": None}
+
+
+def _run(jobs: Sequence[Job], settings: Mapping[str, Any], how: Mapping[str, Any], **more: Any) -> ComparisonResult:
     """Run a comparison, and record how it was run."""
     began = datetime.datetime.now(datetime.UTC)
-    found = run_comparison(jobs, **how)
+    found = run_comparison(jobs, **how, **more)
     wall_s = (datetime.datetime.now(datetime.UTC) - began).total_seconds()
-    own = {"started": began, "wall_s": wall_s, "units": len(cut_jobs(jobs)), **found.record}
-    return dataclasses.replace(found, record={**record, **own})
+    asked, from_map = _asked(jobs, how), settings["from_map"]
+    given = {name: asked[name] for name in ("worlds", "strategies")} | dict(settings) | dict(how)
+    given |= {name: getattr(jobs[0], name) for name in ("lidar", "rules", "robot")}
+    if not (from_map is None or isinstance(from_map, (str, os.PathLike))):
+        given["from_map"] = type(from_map).__name__  # an array
+    record = {"command": ["jx", "compare"], "started": began, "wall_s": wall_s, "configuration": given, **found.record}
+    return dataclasses.replace(found, record={**record, "asked": asked, "units": len(cut_jobs(jobs))})

@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space  # type: ignore[import-not-found]
 from jexplore.config import MAX_SEED, InputError, checked_names, require_whole
 from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike
 from jexplore.studies.environment import Environment, EnvState
-from jexplore.studies.gym.game import MAX_DECISIONS, Game, given_options, whole_numbers
+from jexplore.studies.gym.game import MAX_DECISIONS, Game, whole_numbers
 
 
 @checked_names
@@ -28,6 +28,9 @@ class GymEnv(gymnasium.Env):
     of a world; `episode`, another number than the next. Other values are drawn.
     """
 
+    environment: Environment
+    """The wrapped `Environment`."""
+
     def __init__(
         self, worlds: Any, *, cell_m: float = 0.1, lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
         recheck: bool = False, targets: str = "frontier", max_decisions: int = MAX_DECISIONS,
@@ -41,13 +44,12 @@ class GymEnv(gymnasium.Env):
           max_decisions: decisions, those that moved nothing included, after which an episode is truncated.
         """
         settings = {"cell_m": cell_m, "lidar": lidar, "rules": rules, "recheck": recheck}
-        self._game = Game(worlds, 1, targets=targets, max_decisions=max_decisions, **settings)
-        self.action_space, self.observation_space = self._game.action_space, self._game.observation_space
-
-    @property
-    def environment(self) -> Environment:
-        """Return the wrapped `Environment`."""
-        return self._game.env
+        self._game = game = Game(worlds, 1, targets=targets, max_decisions=max_decisions, **settings)
+        self.environment, self.action_space, self.observation_space = (
+            game.env,
+            game.action_space,
+            game.observation_space,
+        )
 
     @property
     def state(self) -> EnvState | None:
@@ -59,7 +61,7 @@ class GymEnv(gymnasium.Env):
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Begin an episode: `(observation, info)`. The class describes the `options`."""
         seeds = None if seed is None else [require_whole("seed", seed, 0, MAX_SEED)]
-        given = self._game.options({name: [value] for name, value in given_options(options).items()})
+        given = self._game.options(options, of_one=True)
         super().reset(seed=seed)
         return _alone(*self._game.begin(seeds, given, self.np_random))
 
@@ -91,6 +93,9 @@ class GymVectorEnv(VectorEnv):
     All lanes are one compiled program: on a CPU they run one after the other, on an accelerator together.
     """
 
+    environment: Environment
+    """The wrapped `Environment`."""
+
     metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
     def __init__(
@@ -101,17 +106,12 @@ class GymVectorEnv(VectorEnv):
         """Load the worlds. Arguments and errors as of `GymEnv`, and `num_envs`, the number of lanes."""
         settings = {"cell_m": cell_m, "lidar": lidar, "rules": rules, "recheck": recheck}
         self._game = Game(worlds, num_envs, targets=targets, max_decisions=max_decisions, **settings)
-        self.num_envs = self._game.lanes
+        self.environment, self.num_envs = self._game.env, self._game.lanes
         self.single_action_space = self._game.action_space
         self.single_observation_space = self._game.observation_space
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self._over = np.zeros(num_envs, bool)
-
-    @property
-    def environment(self) -> Environment:
-        """Return the wrapped `Environment`."""
-        return self._game.env
 
     @property
     def states(self) -> EnvState | None:
@@ -123,7 +123,7 @@ class GymVectorEnv(VectorEnv):
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Begin an episode in every lane: `(observations, infos)`. The class describes seeds and options."""
         seeds = None if seed is None else self._seeds(seed)
-        given = self._game.options(given_options(options))
+        given = self._game.options(options)
         if seeds is not None:
             super().reset(seed=seeds[0])
         self._over = np.zeros(self.num_envs, bool)

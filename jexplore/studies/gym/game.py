@@ -96,12 +96,18 @@ class Game:
         # An episode that is over as it begins says so with its first step.
         return seen, np.array(rewards, np.float64) + 0.0, terminated & ~over, stopped & ~terminated & ~over, info
 
-    def options(self, options: Any) -> tuple[np.ndarray | None, ...]:
-        """Read the options of a reset: `[N, 3]` starts, `[N]` worlds and episodes, int32; None if absent."""
-        for name in options:
+    def options(self, options: Any, *, of_one: bool = False) -> tuple[np.ndarray | None, ...]:
+        """Read the options of a reset: `[N, 3]` starts, `[N]` worlds and episodes, int32; None if absent.
+
+        Those `of_one` have no axis of lanes.
+        """
+        if options is not None and not isinstance(options, Mapping):
+            raise InputError(f"options must be a mapping of {', '.join(OPTIONS)}, got {options!r}")
+        given = {name: [value] if of_one else value for name, value in (options or {}).items()}
+        for name in given:
             if name not in OPTIONS:
                 raise unknown("option", str(name), OPTIONS)
-        (start, world, episode), n = (options.get(name) for name in OPTIONS), self.lanes
+        (start, world, episode), n = (given.get(name) for name in OPTIONS), self.lanes
         n_worlds = len(self.env.worlds)
         if world is not None:
             world = whole_numbers("option world", world, (n,), 0, n_worlds - 1)
@@ -182,13 +188,6 @@ def observe(state: EnvState, *, targets: str) -> tuple[dict[str, Array], dict[st
     if episode.poses is not None:  # steps are not of a cell's length
         info["path_m"] = episode.path_m
     return seen, info
-
-
-def given_options(options: Any) -> Mapping[str, Any]:
-    """Return the options of a reset; refuse all but mappings."""
-    if options is not None and not isinstance(options, Mapping):
-        raise InputError(f"options must be a mapping of {', '.join(OPTIONS)}, got {options!r}")
-    return options or {}
 
 
 def whole_numbers(name: str, value: Any, shape: tuple[int, ...], low: int, high: int) -> np.ndarray:

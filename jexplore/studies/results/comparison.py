@@ -108,7 +108,7 @@ class ComparisonResult(ByStrategy):
         return self._kept(MAP, np.stack)
 
     def _kept(self, name, join):
-        """Return a column of `details` by world and strategy; nothing where there is none."""
+        """Return a column of `details` by world and strategy; nothing where it has no such column."""
         keys = [self.episodes[key].to_numpy() for key in ("world", "strategy")]
         found: Any = self.details[name].groupby(keys, sort=False) if name in self.details else ()
         return {pair: join(rows.tolist()) for pair, rows in found}

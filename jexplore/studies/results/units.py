@@ -48,7 +48,7 @@ class Unit(NamedTuple):
 
 
 def unit_size(cells: int) -> int:
-    """Return how many episodes in a world of so many cells make a unit, about."""
+    """Return about how many episodes a unit has, in a world with this number of cells."""
     return max(MIN_UNIT_EPISODES, round(UNIT_S / (CELL_S * cells)))
 
 
