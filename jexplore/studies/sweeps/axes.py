@@ -29,24 +29,27 @@ class Range:
 
 
 def combined(
-    axes: Mapping[str, list[Any] | Range], draws: int, seed: int, whole: Collection[str] = ()
+    axes: Mapping[str, list[Any] | Range], draws: int, method: str, seed: int, whole: Collection[str] = ()
 ) -> list[dict[str, Any]]:
     """Combine the values of axes, name -> list of values or a range: a list of `{name: value}`.
 
-    Without a range every combination is made, else `draws` settings are drawn (Sobol, scrambled), from lists as well,
-    each value alike. `whole` are the axes whose ranges are of whole numbers.
+    Without a range every combination is made, else `draws` settings are drawn, from lists as well, each value alike.
+    `method` is "sobol" (scrambled) or "latin" (hypercube); `whole` are the axes whose ranges are of whole numbers.
     """
     if not any(isinstance(axis, Range) for axis in axes.values()):
         lists: Any = axes.values()
         return [dict(zip(axes, row)) for row in itertools.product(*lists)]
     from scipy.stats import qmc
 
-    shares = qmc.Sobol(len(axes), rng=np.random.default_rng(seed)).random_base2(max(0, (draws - 1).bit_length()))
+    rng = np.random.default_rng(seed)
+    if method == "sobol":
+        shares = qmc.Sobol(len(axes), rng=rng).random_base2(max(0, (draws - 1).bit_length()))[:draws]
+    else:
+        shares = qmc.LatinHypercube(len(axes), rng=rng).random(draws)
 
     def value(name, axis, share):
         if isinstance(axis, list):
             return axis[min(int(share * len(axis)), len(axis) - 1)]
         return round(axis.at(share)) if name in whole else axis.at(share)
 
-    rows = shares[:draws].tolist()
-    return [{name: value(name, axis, x) for (name, axis), x in zip(axes.items(), row)} for row in rows]
+    return [{name: value(name, axis, float(x)) for (name, axis), x in zip(axes.items(), row)} for row in shares]

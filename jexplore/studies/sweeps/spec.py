@@ -175,7 +175,7 @@ class Sweep:
         found = []
         seed = 0 if not isinstance(self.seed, int) else require_setting("seed", self.seed)
         for one, some in zip(explicit or [{}], own):
-            for row in combined(some, self.draws or 1, seed, WHOLE_SETTINGS):
+            for row in combined(some, self.draws or 1, "sobol", seed, WHOLE_SETTINGS):
                 setting = {**row, **one}
                 found.append({key: setting.get(key, DEFAULTS[key]) for key in names})
         if len({tuple(setting.values()) for setting in found}) < len(found):
