@@ -21,7 +21,7 @@ from jexplore.studies.comparison import compare
 from jexplore.studies.results import comparison
 from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.results.comparison import assemble
-from jexplore.studies.results.units import Ran, unit_table
+from jexplore.studies.results.units import Block, Ran, block_table
 from jexplore.studies.statistics import by_world, coverage, league
 
 LIDAR = Lidar(n_beams=37, range_m=1.0)
@@ -157,9 +157,9 @@ def stub(outcomes, missing=([], []), **fields):
     )
     final = Final(*(np.zeros(world.shape, np.int32) for _ in range(2)), *(np.zeros(1, np.int32) for _ in range(4)), [])
     made = [batch.Outcomes(result(2, outcome=outcome, **fields), final) for outcome in outcomes]
-    tables = [unit_table(job, one) for job, one in zip(jobs, made)]
+    tables = [block_table(Block(i, 0, 2), job, one) for i, (job, one) in enumerate(zip(jobs, made))]
     tables = [table.drop(index=late) for table, late in zip(tables, missing)]
-    return assemble(jobs, Ran(tables, Costs(compile_s=1.0, run_s=2.0), 0, {}))
+    return assemble(jobs, Ran(tables, Costs(compile_s=1.0, run_s=2.0), 0))
 
 
 def test_a_comparison_by_hand(tmp_path):

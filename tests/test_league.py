@@ -81,9 +81,6 @@ def test_worlds_without_a_ratio_and_tables_without_a_row():
     assert "nan" not in text
     assert " - " in text
     league_figure(found)
-    nothing = standings(table.iloc[:0])
-    assert len(nothing) == 0
-    assert standings_table(nothing).count("\n") == 2
 
 
 def test_an_interval_of_ranks_ends_at_the_first_and_the_last():

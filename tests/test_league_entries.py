@@ -71,10 +71,10 @@ def changed(run, folder, **asked):
 @pytest.mark.parametrize(
     ("asked", "message"),
     [
-        ({"version": "0.0.9"}, "made by version 0.0.9; the league is of 0.1.0"),
-        ({"worlds": [*WORLDS[:1]]}, f"not the 2 worlds of the league: {WORLDS[1]} and 0 more are missing"),
-        ({"worlds": [*WORLDS, "cave"]}, "not the 2 worlds of the league: cave is not one of them"),
-        ({"worlds": [*WORLDS[::-1]]}, "the worlds of the league in another order"),
+        ({"version": "0.0.9"}, "version must be as the league's, got other '0.0.9'"),
+        ({"worlds": [*WORLDS[:1]]}, f"worlds must be as the league's, got other {WORLDS[1]}"),
+        ({"worlds": [*WORLDS, "cave"]}, "worlds must be as the league's, got other cave"),
+        ({"worlds": [*WORLDS[::-1]]}, "worlds must be as the league's, got other order"),
         ({"seed": 3}, "seed must be as the league's, got other 3"),
         ({"episodes": 2}, "episodes must be as the league's, got other 2"),
         ({"digests": dict.fromkeys(WORLDS, "0")}, "worlds or starts are not those of tiny, though their names"),
@@ -100,7 +100,7 @@ def test_every_world_and_the_reference_are_needed(run, tmp_path):
     with pytest.raises(InputError, match=r"closest\+recheck is missing: every submission runs it too"):
         league.submit(other, "tiny", tmp_path / "entries")
     table[(table["strategy"] != "closest") | (table["world"] != WORLDS[1])].to_parquet(other / "episodes.parquet")
-    with pytest.raises(InputError, match=f"closest: 1 episodes are missing, that in {WORLDS[1]} first"):
+    with pytest.raises(InputError, match=f"closest must have an episode in each world, {WORLDS[1]} first"):
         league.submit(other, "tiny", tmp_path / "entries")
 
 

@@ -26,10 +26,9 @@ SEEN = details.Seen("s", np.zeros((3, 3), np.uint8), np.arange(2), np.arange(2),
 FOUND = ComparisonResult(
     EPISODES,
     (jx.World(np.ones((3, 3), bool), name="w", start=(1, 1, 45)),),
-    {"w": [SEEN]},
     1.0,
     1.0,
-    progress={("w", "s"): np.arange(100.0)[None]},
+    details=pd.DataFrame({details.PROGRESS: [np.arange(100.0)], details.SEEN: [SEEN]}),
 )
 
 
@@ -85,7 +84,7 @@ def test_incomplete_details_are_refused(folder):
     whole = pd.read_parquet(path / details.DETAILS)
     for name in (details.WORLD, details.PROGRESS, details.SEEN):
         store.write_parquet(whole.drop(columns=name), path / details.DETAILS)
-        refused(f"must hold a whole run of this version: there is no '{name}'", load, path)
+        refused(f"details.parquet must have the column {name}", load, path)
     store.write_parquet(whole.assign(_world=[b"x"]), path / details.DETAILS)
     refused("must hold a whole run of this version: No data left", load, path)
     store.write_parquet(pd.concat([whole, whole]), path / details.DETAILS)

@@ -83,7 +83,7 @@ MEASURED = {
 def test_columns_batches_lanes_and_environment_agree_to_the_bit(monkeypatch):
     world, how = two_rooms(), {"seed": 2, "lidar": LIDAR, "metrics": MEASURED}
     found = jx.compare(world, ["closest", "random"], episodes=4, **how)
-    table, record = found.episodes, found.made.record
+    table, record = found.episodes, found.record
     assert table["path_m"].tolist() == path_m(table["straight"], table["diagonal"], world.cell_m).tolist()
     np.testing.assert_allclose(table["metres"], table["path_m"], rtol=1e-6)
     assert table["own_scans"].equals(table["scans"])

@@ -11,7 +11,6 @@ import jexplore as jx
 from jexplore.config import InputError, InputWarning
 from jexplore.rules import Rules
 from jexplore.studies.checks import ready_starts
-from jexplore.studies.room_variants import RoomSettings
 from jexplore.studies.segmentation import prepare_maps
 from jexplore.worlds import load_world
 from jexplore.worlds.regions import inside, warn_of_floor, warn_of_outside
@@ -137,8 +136,8 @@ def test_columns_and_furniture_in_outline_are_no_inside():
 def test_segment_says_that_it_counts_the_outside(tmp_path):
     name = on_paper(tmp_path / "house.png", house())
     with pytest.warns(InputWarning, match="robots start outside"):
-        prepare_maps(name, None, "voronoi", CELL_M, RoomSettings())
-    (world,) = prepare_maps(f"{name}:inside=true", None, "voronoi", CELL_M, RoomSettings())
+        prepare_maps(name, None, "voronoi", CELL_M)
+    (world,) = prepare_maps(f"{name}:inside=true", None, "voronoi", CELL_M)
     assert (~world.occupied).sum() == 28 * 58
 
 

@@ -149,10 +149,12 @@ def test_a_comparison_of_many_worlds_shows_what_they_say_together(comparison):
 
     tables = [comparison.episodes.assign(world=f"room#{i}") for i in range(20)]
     worlds = tuple(two_rooms(f"room#{i}") for i in range(20))
-    many = dataclasses.replace(comparison, episodes=pd.concat(tables, ignore_index=True), worlds=worlds, progress={})
+    many = dataclasses.replace(
+        comparison, episodes=pd.concat(tables, ignore_index=True), worlds=worlds, details=pd.DataFrame()
+    )
     _, table, caption = shown(many._repr_html_())
     assert caption == "Comparison of 2 strategies in 20 worlds, 120 episodes"
-    assert table[:4] == ["strategy", "ratio to the first", "p (Holm)", "best in"]
+    assert table[:4] == ["strategy", "ratio to the reference", "p (Holm)", "best in"]
     assert set(table[4::4]) == {"closest", "closest+recheck"}
     assert all(text.endswith(" of 20") for text in table[7::4])
 

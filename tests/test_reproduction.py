@@ -49,7 +49,7 @@ def made(means, *, paper=PAPER, n=12, spread=1e-4, outcomes=()):
             outcome = ["COMPLETE"] * (n - len(outcomes)) + list(outcomes)
             found = {"world": worlds[environment], "strategy": strategy, "episode": range(n), "path_m": path_m}
             tables.append(table.assign(**found, outcome=outcome, explored_fraction=1.0))
-    comparison = ComparisonResult(pd.concat(tables, ignore_index=True), (), {}, 1.0, 1.0)
+    comparison = ComparisonResult(pd.concat(tables, ignore_index=True), (), 1.0, 1.0)
     return ReproductionResult(paper, comparison, worlds, ("a note",))
 
 
@@ -135,7 +135,7 @@ def test_tables_by_hand():
 def test_what_is_left_of_an_interrupted_run_is_told():
     found = made({"Cave": {"closest": 100.0, "random": 150.0}}, n=12)
     late = found.comparison.episodes[found.comparison.episodes["episode"] >= 10]
-    text = ReproductionResult(PAPER, ComparisonResult(late, (), {}, 1.0, 1.0, 20), found.worlds, ()).to_markdown()
+    text = ReproductionResult(PAPER, ComparisonResult(late, (), 1.0, 1.0, 20), found.worlds, ()).to_markdown()
     assert "first 0 episodes" in text
     assert "nan" not in text
 

@@ -17,12 +17,14 @@ from jexplore.config import InputError
 from jexplore.engine import devices
 from jexplore.engine.runner import Costs
 from jexplore.exploration import batch
+from jexplore.report.ledger import Work
 from jexplore.rules import Lidar, Rules
+from jexplore.studies.results import units
 from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.sweeps import plan as plans
 from jexplore.studies.sweeps import run as runs
 from jexplore.studies.sweeps.axes import Range
-from jexplore.studies.sweeps.plan import SweepBlock, in_shard, prepare_sweep
+from jexplore.studies.sweeps.plan import in_shard, prepare_sweep
 from jexplore.studies.sweeps.run import sweep
 from jexplore.studies.sweeps.spec import Sweep, plain_spec, read_spec, sweep_from
 
@@ -36,7 +38,7 @@ def test_lists_are_axes_of_the_product():
         {"seed": seed, "cell_m": 0.1, "lidar.range_m": far, "lidar.n_beams": 31, "rules.clearance_m": clear}
         for seed, far, clear in itertools.product([0, 1], [4, 8], [0.2, 0.3])
     ]
-    assert spec.records()[1] == (0, 0.1, Lidar(n_beams=31, range_m=4), Rules(clearance_m=0.3))
+    assert spec.records()[1][1:5] == (0, 0.1, Lidar(n_beams=31, range_m=4), Rules(clearance_m=0.3))
     assert Sweep(["a"]).expanded() == [{"seed": 0, "cell_m": 0.1}]
 
 
@@ -50,17 +52,16 @@ def test_settings_one_by_one():
     assert [one["cell_m"] for one in Sweep(["a"], settings=[{"cell_m": 0.2}]).expanded()] == [0.2]
 
 
-@pytest.mark.parametrize("draw", ["sobol", "random"])
-def test_ranges_are_drawn_from(draw):
+def test_ranges_are_drawn_from():
     asked = {"lidar": {"range_m": {"low": 2, "high": 10}}, "rules": {"near_m": Range(0.01, 1.0, log=True)}}
-    spec = sweep_from({"worlds": ["a"], "cell_m": [0.1, 0.2], "draws": 200, "draw": draw, **asked})
+    spec = sweep_from({"worlds": ["a"], "cell_m": [0.1, 0.2], "draws": 200, **asked})
     found = spec.expanded()
     assert len(found) == 200
     far, near = (np.array([one[name] for one in found]) for name in ("lidar.range_m", "rules.near_m"))
     for values, low, high in ((far, 2, 10), (np.log(near), np.log(0.01), 0)):
         assert low <= values.min() <= values.max() <= high
         counts, _ = np.histogram(values, 4, (low, high))
-        assert counts.min() >= (48 if draw == "sobol" else 30)  # of 50: sobol is even
+        assert counts.min() >= 48  # of 50: Sobol draws are even
     assert {one["cell_m"] for one in found} == {0.1, 0.2}
     assert found == sweep_from(plain_spec(spec)).expanded()  # drawn again the same
     whole = Sweep(["a"], draws=8, rules={"max_steps": Range(100, 200)}).expanded()
@@ -92,7 +93,6 @@ def test_parameters_of_strategies_are_axes():
         ({"worlds": ["a"], "rules": {"clearance_m": -1}}, "rules.clearance_m must be a number at least 0"),
         ({"worlds": ["a"], "cell_m": 0}, "cell_m must be a number at least 0.001"),
         ({"worlds": ["a"], "draws": 3}, "draws goes with a range"),
-        ({"worlds": ["a"], "draw": "halton"}, "unknown draw 'halton'"),
         ({"worlds": ["a"], "lidar": {"range_m": {"low": 1, "high": 3}}}, "say how many settings are drawn"),
         ({"worlds": ["a"], "draws": 3, "lidar": {"range_m": {"low": 1}}}, "a range has low and high"),
         ({"worlds": ["a"], "draws": 3, "lidar": {"range_m": {"low": 3, "high": 1}}}, "high must be a number above 3"),
@@ -143,21 +143,19 @@ def test_what_is_written_as_yaml_is_read_back(word):
 
 
 def test_units_share_programs_and_miss_nothing(monkeypatch):
-    monkeypatch.setattr(plans, "UNIT_S", 10.0)  # in so small worlds the largest units
+    monkeypatch.setattr(units, "UNIT_S", 10.0)  # in so small worlds the largest units
     spec = Sweep(
         WORLDS, ["closest", "random"], episodes=40, lidar={"range_m": [1, 2]}, rules={"clearance_m": [0.2, 0.3]}
     )
     plan = prepare_sweep(spec)
-    assert plan.programs == 2  # one a clearance; both worlds have one size
-    blocks = [block for unit in plan.units for block in unit]
-    want = {SweepBlock(s, w, k, 0, 40) for s in range(4) for w in range(2) for k in range(2)}
-    assert len(blocks) == len(set(blocks)) == len(want)
-    assert set(blocks) == want
+    assert len(plan.programs) == 2  # one a clearance; both worlds have one size
+    blocks = [block for unit in plan.units for block in unit.blocks]
+    assert sorted(blocks) == [(job, 0, 40) for job in range(4 * 2 * 2)]
     for unit in plan.units:
-        assert len({plan.records[block.setting][3].clearance_m for block in unit}) == 1
-        assert sum(block.n for block in unit) <= 256
+        assert len({plan.jobs[block.job].rules.clearance_m for block in unit.blocks}) == 1
+        assert unit.n <= 256
     large = prepare_sweep(Sweep(WORLDS[:1], ["closest"], episodes=1000))
-    assert [(block.first, block.n) for unit in large.units for block in unit] == [
+    assert [(block.first, block.n) for unit in large.units for block in unit.blocks] == [
         *((first, 256) for first in (0, 256, 512)),
         (768, 232),
     ]
@@ -249,7 +247,7 @@ NATIVE = {
 
 def test_how_robots_learn_their_pose_may_stand_in_the_rules():
     rules = Rules(pose="icp", odometry={"length": 0.3})
-    ((*_, ready),) = Sweep(worlds=["cave"], strategies=["closest"], rules=rules).records()
+    ready = Sweep(worlds=["cave"], strategies=["closest"], rules=rules).records()[0].rules
     assert (ready.pose, ready.odometry.length) == ("icp", 0.3)
     refused("pose is given twice", Sweep, worlds=["cave"], strategies=["closest"], rules=rules, pose="odometry")
     with pytest.raises(InputError, match="pose must be one of true, odometry, icp"):
@@ -341,16 +339,16 @@ def test_parts_that_were_not_continued_alike_do_not_merge(tmp_path, capsys, prin
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(plans, "MAX_UNIT_EPISODES", 8)
 
-    def make_units(work, jobs_of, *_, **how):
+    def run_units(jobs, all_units, numbers, *, ledger, earlier, **how):
+        work = Work(numbers, ledger)
         for number in work.left:
-            work.put(number, pd.concat([made(job) for job in jobs_of(number)]))
-        return Costs()
+            work.put(number, pd.concat([made(jobs[i], first, n) for i, first, n in all_units[number].blocks]))
+        return units.Ran([*earlier, *work.results], Costs(), 0)
 
-    def made(job):
-        n = len(job.starts)
+    def made(job, first, n):
         rows = {name: np.zeros(n) for name in COLUMNS} | {"setting": 0, "world": WORLDS[0]}
         rows |= {"strategy": job.strategy.name, "outcome": "COMPLETE"}
-        rows |= {"episode": np.arange(job.first, job.first + n), "cell_m": 0.1}
+        rows |= {"episode": np.arange(first, first + n), "cell_m": 0.1}
         return pd.DataFrame(rows)
 
     def sweep_part(episodes, *options):
@@ -358,7 +356,7 @@ def test_parts_that_were_not_continued_alike_do_not_merge(tmp_path, capsys, prin
         (tmp_path / "s.yaml").write_text(yaml.safe_dump(asked))
         assert main.main(["sweep", "s.yaml", "--no-report", *options]) == 0
 
-    monkeypatch.setattr(runs, "make_units", make_units)
+    monkeypatch.setattr(runs, "run_units", run_units)
     for part in (1, 2):
         sweep_part(11, "--shard", f"{part}/2", "--out", f"short{part}")
     sweep_part(20, "--shard", "2/2", "--out", "short2", "--resume")

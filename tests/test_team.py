@@ -27,7 +27,7 @@ from jexplore.studies.bounds.scene import prepare_scene
 from jexplore.studies.bounds.teams import team_low
 from jexplore.studies.replays import replays_of
 from jexplore.studies.statistics import teams
-from jexplore.studies.sweeps.plan import SweepBlock, prepare_sweep
+from jexplore.studies.sweeps.plan import prepare_sweep
 from jexplore.studies.sweeps.spec import sweep_from
 from jexplore.worlds.world import World
 
@@ -347,8 +347,8 @@ def test_teams_are_compared(tmp_path):
     times = swept.episodes["path_m_at_100"].tolist()
     assert own.episodes["path_m_at_100"].tolist() == times[1:]
     assert times[0] < times[1]
-    job = found.made.jobs[1]
-    (replay,), _ = replays_of([job], {0: found.made.firsts[1]}, episodes=1)
+    job = found.jobs[1]
+    (replay,), _ = replays_of([job], episodes=1)
     *_, last = replay.maps()
     np.testing.assert_array_equal(last & STATE, found.first["drawn"][1].state)
     assert len(replay.others) == 1
@@ -367,14 +367,14 @@ def test_axes_of_a_sweep_are_teams():
     spec = {"worlds": ["maze:width_m=3,height_m=3"], "strategies": ["closest"], "episodes": 2}
     given = {"robots": [1, 2], "coordination": ["independent", "minpos"], "rules": {"clearance_m": 0.1}}
     plan = prepare_sweep(sweep_from({**spec, **given}))
-    assert [setting["robots"] for setting in plan.settings] == [1, 1, 2, 2]
-    assert plan.programs == 4
-    team = plan.job(SweepBlock(3, 0, 0, 0, 2), 0).team
+    assert [setting.team["robots"] for setting in plan.settings] == [1, 1, 2, 2]
+    assert len(plan.programs) == 3  # one of a single robot
+    team = plan.jobs[3].team
     assert team == Team(2, read_coordination("minpos"))
     plan = prepare_sweep(sweep_from({**spec, "robots": [1, 2], "members": ["pace=1 range=2", "pace=1 pace=2"]}))
-    assert plan.programs == 4
-    assert plan.job(SweepBlock(1, 0, 0, 0, 2), 0).team.members == (Member(),)
-    assert plan.job(SweepBlock(3, 0, 0, 0, 2), 0).team.members == (Member(), Member(2))
+    assert len(plan.programs) == 3  # one of a single robot
+    assert plan.jobs[1].team.members == (Member(),)
+    assert plan.jobs[3].team.members == (Member(), Member(2))
     for more, text in (
         *(({"coordination": "minpos"}, "give robots"), ({"robots": 17}, "from 1 to 16")),
         *(({"robots": 2, "members": "pace=9"}, "from 1 to 8"), ({"robots": 2, "members": "pace=2"}, "got 1")),

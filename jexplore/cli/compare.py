@@ -178,11 +178,11 @@ def finish_comparison(
     if out.was_finished:
         page = loading.run_record(out.run.path)
     else:
-        page = out.record(**entries, **saving.entries_of(found), **found.made.record)
+        page = out.record(**entries, **saving.entries_of(found), **found.record)
     files = {**saving.comparison_files(found), **more}
     text += "".join(f"warning: {line}\n" for line in found.warnings)
     tables = functools.partial(saving.tables_of, found)
-    pictures = saving.pictures_of(figures, page, tables, jobs if is_whole else None, found.made.firsts)
+    pictures = saving.pictures_of(figures, page, tables, jobs if is_whole else None)
     return out.finish(page, files, text, pictures, interrupted=not is_whole)
 
 

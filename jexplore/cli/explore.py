@@ -46,7 +46,7 @@ class Explore(ReportOptions, SceneOptions):
             )
             with note_if_slow(COMPILING):
                 found = run_job(job)
-            measures = {"world": found.world.name, "strategy": found.strategy, **found.measures}
+            measures = found.measures
             times: dict[str, Any] = {"compile_s": found.compile_s, "run_s": found.run_s}
             record = out.record(result=measures, worlds=[found.world], **times)
             lines = [f"{name:<18} {_text(value)}" for name, value in measures.items()]

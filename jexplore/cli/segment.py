@@ -61,7 +61,7 @@ class Segment(OutOptions):
                 raise InputError("expected a map: map.png@0.05 (metres a pixel), map.yaml, or a generator: office#3")
             use_compilation_cache()
             with working(len(self.maps) * (1 + len(SHARES) * self.partial), "maps") as on_progress:
-                how = fields_of(self, " ".join(("truth partial cell_m seed", *RoomSettings._fields)))
+                how = fields_of(self, " ".join(("truth partial cell_m seed", *RoomSettings.__dataclass_fields__)))
                 found = segment_maps(self.maps, variants=self.variant, **how, on_progress=on_progress)
             record = out.record(scores=found.scores.to_dict("records"))
             figure = functools.partial(rooms_figure, found.pictures, found.scores)

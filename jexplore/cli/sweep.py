@@ -56,12 +56,12 @@ class SweepCommand(EngineOptions, ReportOptions, ResumeOptions, TrustOptions):
             print("\n".join(plans.summary_lines(plan, numbers)))
             return 0
         with Out(self, arguments) as out:
-            ledger = out.keep(plan.asked(shard), lambda n: len(plan.after(n).units), shard)
+            ledger = out.keep(plan.asked(shard), lambda n: len(dataclasses.replace(plan, after=n).units), shard)
             if ledger is None:
                 found = load(out.run.path)
                 text, pictures = found.to_markdown(PRINTED_ROWS), _pictures(out, found, run_record(out.run.path), plan)
                 return out.finish({}, {}, text, pictures)
-            total = sum(plan.size(number) for number in numbers)
+            total = sum(plan.units[number].n for number in numbers)
             how = fields_of(self, "engine lanes workers")
             with working(total, "episodes") as on_progress:
                 found = run_sweep(plan, ledger=ledger, shard=shard, **how, on_progress=on_progress)
@@ -82,7 +82,7 @@ def shard_of(text: str | None) -> tuple[int, int] | None:
 def _pictures(out, found, record, plan):
     """Return pictures of a sweep and its page: name -> content."""
     from jexplore.studies.results.saving import pictures_of
-    from jexplore.studies.sweeps.run import labels_of
+    from jexplore.studies.sweeps.run import labels_of, summary_table
 
     jobs, labels = None, ()
     if out.options.report and not found.missing:
@@ -90,7 +90,8 @@ def _pictures(out, found, record, plan):
         labels = labels_of(settings)
     rows = len(found.summary)
     heading = "Every setting" if rows <= REPORTED_ROWS else f"The first {REPORTED_ROWS} of {rows} rows of summary.csv"
-    return pictures_of(found.figures(), record, lambda: [(heading, found.table(REPORTED_ROWS))], jobs, labels=labels)
+    tables = lambda: [(heading, summary_table(found.summary.head(REPORTED_ROWS), found.varied))]  # noqa: E731
+    return pictures_of(found.figures(), record, tables, jobs, labels=labels)
 
 
 def _finish(out: Out, found: "SweepResult", plan: Any, **entries: Any) -> int:
@@ -107,7 +108,7 @@ def _finish(out: Out, found: "SweepResult", plan: Any, **entries: Any) -> int:
         resumed=found.resumed,
         columns=found.columns,
         reference=found.reference,
-        worlds=[plan.world(*key) for key in plan.shapes],
+        worlds=plan.worlds,
         **entries,
     )
     spec = dump(plain_spec(found.spec))

@@ -17,7 +17,7 @@ from scipy import ndimage
 
 from jexplore.arrays.bits import WORD
 from jexplore.arrays.padding import bucket
-from jexplore.config import InputError, InputWarning, as_record, require_different, require_setting
+from jexplore.config import InputError, InputWarning, as_record, require_different, require_setting, shown
 from jexplore.exploration.batch import Job
 from jexplore.exploration.metrics import Metric
 from jexplore.exploration.site import LEAST_LIMIT, ROBOT
@@ -61,12 +61,10 @@ def list_of(kind: str, items: Any) -> list[Any]:
     """Make a list of one or more different items; a single one may stand for itself."""
     if isinstance(items, (str, os.PathLike, World)):
         items = [items]
-    if isinstance(items, (set, frozenset)):  # which strategy is the first, with which others are compared, is chance
-        raise InputError(f"{kind} must be a list, got a set, which has no order")
-    try:
-        items = list(items)
-    except TypeError:
-        raise InputError(f"{kind} must be names, got {items!r}") from None
+    # Of a set it is chance which strategy is the first, with which others are compared.
+    if isinstance(items, (set, frozenset, Mapping)) or not isinstance(items, Iterable):
+        raise InputError(f"{kind} must be a list, got {shown(items)}")
+    items = list(items)
     if not items:
         raise InputError(f"{kind} must name at least one, got none")
     return items

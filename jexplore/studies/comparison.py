@@ -12,7 +12,7 @@ from jexplore.exploration.batch import Job
 from jexplore.exploration.team.jobs import CoordinationLike
 from jexplore.exploration.team.team import Starts
 from jexplore.exploration.trail import RECORDS
-from jexplore.report.ledger import Ledger, open_ledger
+from jexplore.report.ledger import open_ledger
 from jexplore.studies import checks
 from jexplore.studies.metrics import MetricsLike
 from jexplore.studies.results import loading, provenance, saving
@@ -67,36 +67,29 @@ def compare(
       InputWarning: as `batch.run_jobs`.
     """
     require_engine(engine, lanes)
-    settings = {"episodes": episodes, "seed": seed, "cell_m": cell_m, "start": start, "start_m": start_m}
-    limits = {"within": within, "from_map": from_map}
-    own = {"lidar": lidar, "rules": rules, "robot": robot}
-    team = {"robots": robots, "coordination": coordination, "contact": contact, "team_starts": team_starts}
-    more = {"metrics": metrics, "pose": pose, "odometry": odometry, "members": members}
-    jobs = checks.prepare_jobs(worlds, strategies, **settings, **limits, **own, **team, **more)
-    settings |= limits | {"from_map": _plainly(from_map)} | {name: getattr(jobs[0], name) for name in own}
     _require_setup(keep, out, overwrite, resume, robots)
+    settings = {"episodes": episodes, "seed": seed, "cell_m": cell_m, "start": start, "start_m": start_m}
+    settings |= {"within": within, "from_map": from_map, "lidar": lidar, "rules": rules, "robot": robot}
+    team = {"robots": robots, "coordination": coordination, "contact": contact, "team_starts": team_starts}
+    more = {"members": members, "metrics": metrics, "pose": pose, "odometry": odometry}
+    jobs = checks.prepare_jobs(worlds, strategies, **settings, **team, **more)
     how = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep}
     with progress_bar(progress, sum(len(job.starts) for job in jobs), "episodes", on_progress) as moved:
-        run = functools.partial(_run, jobs, settings, how, moved)
-        return run() if out is None else _run_in_folder(run, jobs, how, out, overwrite, resume, trust)
+        run = functools.partial(_run, jobs, settings, how, on_progress=moved)
+        if out is None:
+            return run()
+        with saving.claimed_by_call(out, overwrite=overwrite, resume=resume) as folder:
+            return _run_in_folder(folder, run, jobs, _asked(jobs, how), resume=resume, trust=trust)
 
 
-def _run_in_folder(run, jobs, how, out, overwrite, resume, trust):
+def _run_in_folder(folder, run, jobs, asked, **how):
     """Run a comparison with a folder that keeps its units and finally holds it."""
-    with saving.claimed_by_call(out, overwrite=overwrite, resume=resume) as folder:
-        units = lambda after: len(cut_jobs(jobs, after))  # noqa: E731
-        ledger = open_ledger(folder, _asked(jobs, how), units, resume=resume, trust=trust)
-        if ledger is None:
-            found = loading.load(folder.path)
-            return dataclasses.replace(found, made=found.made._replace(jobs=tuple(jobs)))
-        found = run(ledger)
-        saving.write_comparison(folder, found)
-        return found
-
-
-def _plainly(from_map: KnownMap | None) -> object:
-    """Return a known map as a record has it: its name, or the kind of an array."""
-    return from_map if from_map is None or isinstance(from_map, (str, os.PathLike)) else type(from_map).__name__
+    ledger = open_ledger(folder, asked, lambda after: len(cut_jobs(jobs, after)), **how)
+    if ledger is None:
+        return dataclasses.replace(loading.load(folder.path), jobs=tuple(jobs))
+    found = run(ledger=ledger)
+    saving.write_comparison(folder, found)
+    return found
 
 
 def _require_setup(keep: str | None, out: object, overwrite: bool, resume: bool, robots: object) -> None:
@@ -116,23 +109,15 @@ def _asked(jobs: Sequence[Job], how: Mapping[str, Any]) -> dict[str, Any]:
     return {"command": "compare", **provenance.asked(jobs, how["keep"]), "bound_seconds": None}
 
 
-def _run(
-    jobs: Sequence[Job], settings: Mapping[str, Any], how: Mapping[str, Any],
-    on_progress: Callable[[int], object] | None, ledger: Ledger | None = None,
-) -> ComparisonResult:  # fmt: skip
-    """Run a comparison whose units a ledger keeps, and record how it was run."""
+def _run(jobs: Sequence[Job], settings: Mapping[str, Any], how: Mapping[str, Any], **more: Any) -> ComparisonResult:
+    """Run a comparison, and record how it was run."""
     began = datetime.datetime.now(datetime.UTC)
-    found = run_comparison(jobs, ledger=ledger, on_progress=on_progress, **how)
-    names = {
-        "worlds": list(dict.fromkeys(str(job.world.name) for job in jobs)),
-        "strategies": list(dict.fromkeys(job.strategy.name for job in jobs)),
-    }
-    record = {
-        "command": ["jx", "compare"],
-        "started": began,
-        "wall_s": (datetime.datetime.now(datetime.UTC) - began).total_seconds(),
-        "configuration": {**names, **settings, **how},
-        **found.made.record,
-        **{"asked": _asked(jobs, how), "units": len(cut_jobs(jobs))},
-    }
-    return dataclasses.replace(found, made=found.made._replace(record=record))
+    found = run_comparison(jobs, **how, **more)
+    wall_s = (datetime.datetime.now(datetime.UTC) - began).total_seconds()
+    asked, from_map = _asked(jobs, how), settings["from_map"]
+    given = {name: asked[name] for name in ("worlds", "strategies")} | dict(settings) | dict(how)
+    given |= {name: getattr(jobs[0], name) for name in ("lidar", "rules", "robot")}
+    if not (from_map is None or isinstance(from_map, (str, os.PathLike))):
+        given["from_map"] = type(from_map).__name__  # an array
+    record = {"command": ["jx", "compare"], "started": began, "wall_s": wall_s, "configuration": given, **found.record}
+    return dataclasses.replace(found, record={**record, "asked": asked, "units": len(cut_jobs(jobs))})

@@ -98,13 +98,7 @@ class _Place(NamedTuple):
 
     def cells(self, name: str, points_m: Any) -> np.ndarray:
         """Return the cells of points, `[N, 2]` int64, row and column, wherever they lie."""
-        try:
-            points = np.asarray(points_m, float)
-        except (TypeError, ValueError):
-            points = np.empty((0, 0))
-        points = points.reshape(0, 2) if points.shape == (0,) else points
-        if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
-            raise InputError(f"{name} must be [N, 2] finite numbers, x_m and y_m, got {shown(points_m)}")
+        points = _numbers(name, points_m, (-1, 2), "[N, 2] finite numbers, x_m and y_m")
         cells = np.floor(np.round((points - self.corner) / self.cell_m, SNAP))
         return np.clip(cells, -1, 2**20)[:, ::-1].astype(np.int64)
 
@@ -113,8 +107,8 @@ def _place(grid: np.ndarray, pose: Any, cell_m: float, origin_m: Any, rules: Rul
     """Find the robot; refuse a pose outside the grid, or in a cell that is known not to be free."""
     require_number("cell_m", cell_m, low=1e-3, high=100)
     checks.require_clearance(rules, cell_m, "the grid")
-    x_m, y_m, heading_rad = _numbers("pose", pose, 3, "x_m, y_m, heading_rad")
-    left_m, bottom_m = _numbers("origin_m", origin_m, 2, "x_m, y_m")
+    x_m, y_m, heading_rad = _numbers("pose", pose, (3,), "3 finite numbers, x_m, y_m, heading_rad").tolist()
+    left_m, bottom_m = _numbers("origin_m", origin_m, (2,), "2 finite numbers, x_m, y_m").tolist()
     ring = 0 if rules.known_outline else 1
     place = _Place(float(cell_m), (left_m, bottom_m), ring, np.zeros(2, np.int64), heading_rad)
     (robot,) = place.cells("pose", [(x_m, y_m)])
@@ -154,8 +148,12 @@ def _result(found: tuple[Any, ...], name: str, shape: tuple[int, ...], place: _P
     cell = int(row) - ring, int(col) - ring
     if cost >= FAR:
         raise InputError(f"{name}: chose the cell {cell}, to which no path leads")
-    way, motions = _followed(route, tuple(place.robot + ring), (int(row), int(col)))
-    x, y = centre_of(*(np.array(way) - ring).T, cell_m=place.cell_m, origin_m=place.corner)
+    way, motions = [tuple(place.robot.tolist())], []
+    while way[-1] != cell:
+        motions.append(int(route[way[-1][0] + ring, way[-1][1] + ring]))
+        drow, dcol = MOTIONS[motions[-1]]
+        way.append((way[-1][0] + drow, way[-1][1] + dcol))
+    x, y = centre_of(*np.array(way).T, cell_m=place.cell_m, origin_m=place.corner)
     heading_rad = HEADING[motions[-1]] * math.pi / 4 if motions else place.heading_rad
     path_m = place.cell_m * sum(math.sqrt(2) if motion >= 4 else 1.0 for motion in motions)
     return TargetResult(cell, (x[-1], y[-1], heading_rad), np.stack([x, y], axis=1), path_m, scores, memory)
@@ -179,14 +177,17 @@ def _is_free(grid: np.ndarray, p_free: float) -> np.ndarray:
     return (grid >= 0) & (grid <= np.float32(p_free) * np.float32(100))
 
 
-def _numbers(name: str, values: Any, n: int, what: str) -> list[float]:
-    """Return n finite numbers."""
+def _numbers(name: str, values: Any, shape: tuple[int, ...], what: str) -> np.ndarray:
+    """Return finite numbers of a shape, in which -1 is any length."""
     try:
-        found = [float(value) for value in values]
+        found = np.asarray(values, float)
     except (TypeError, ValueError):
-        found = []
-    if len(found) != n or not all(map(math.isfinite, found)):
-        raise InputError(f"{name} must be {n} finite numbers, {what}, got {shown(values)}")
+        found = np.asarray(math.nan)
+    if found.shape == (0,) and shape[0] < 0:
+        found = found.reshape(0, *shape[1:])
+    alike = found.ndim == len(shape) and all(n in (-1, own) for n, own in zip(shape, found.shape))
+    if not alike or not np.isfinite(found).all():
+        raise InputError(f"{name} must be {what}, got {shown(values)}")
     return found
 
 
@@ -243,16 +244,3 @@ def _chosen(
     select = scored if scores and scored is not None else policy.select
     carry, choice, route, *told = select(key, params, carry, belief, beams, route)
     return choice.row, choice.col, choice.cost, route, told[0] if told else None, carry
-
-
-def _followed(
-    route: np.ndarray, start: tuple[int, int], target: tuple[int, int]
-) -> tuple[list[tuple[int, int]], list[int]]:
-    """Follow a map of motions: the cells from start to target, and the motions between them."""
-    way, motions = [start], []
-    while way[-1] != target:
-        motion = int(route[way[-1]])
-        drow, dcol = MOTIONS[motion]
-        way.append((way[-1][0] + drow, way[-1][1] + dcol))
-        motions.append(motion)
-    return way, motions

@@ -18,9 +18,8 @@ from jexplore.exploration import batch
 from jexplore.exploration.batch import Job
 from jexplore.exploration.motion import LENGTHS
 from jexplore.exploration.replay import Moment, moments
-from jexplore.exploration.results import columns, length_along_m, map_state
+from jexplore.exploration.results import length_along_m, map_state
 from jexplore.exploration.site import prepare_site
-from jexplore.exploration.team.episode import team_columns
 from jexplore.exploration.team.jobs import Coordinate
 from jexplore.exploration.team.replay import last_clock
 from jexplore.exploration.team.team import Starts
@@ -31,6 +30,7 @@ from jexplore.report.page.replay import FRONTIER, STATE, ReplayData, evenly
 from jexplore.rules import Lidar, Rules
 from jexplore.studies import checks
 from jexplore.studies.replays import MAX_FRAMES, before_leaving, replay_data, why_no_replay
+from jexplore.studies.results.units import rows_of
 from jexplore.worlds.restrict import KnownMap, Polygon
 from jexplore.worlds.world import World, ring_of
 
@@ -222,16 +222,12 @@ def run_job(job: Job) -> EpisodeResult:
     number = len(job.starts) - 1
     lidar, rules = job.lidar or checks.LIDAR, job.rules or checks.RULES
     report = batch.run_jobs([job], lidar, rules, only=number)
-    ((result, final, _),) = report.outcomes
-    assert final is not None  # a run that was interrupted has raised
-    has_rooms, cell_m = job.world.rooms is not None, job.world.cell_m
-    found = columns(result, job.starts, seed=job.seed, cell_m=cell_m, has_rooms=has_rooms, robot=job.robot)
-    found |= dict(zip(job.metrics, result.metrics))
-    found |= {} if job.team is None else team_columns(result, job.team, cell_m, job.robot)
-    last = {name: values[number] for name, values in found.items()}
-    row, col, heading_deg = (int(value) for value in job.starts[number])
+    (found,) = report.outcomes
+    assert found.first is not None  # a run that was interrupted has raised
+    last = {name: values[number] for name, values in rows_of(job, found).items()}
+    start = tuple(job.starts[number].tolist())
     return EpisodeResult(
-        *(job.world, job.strategy.name, (row, col, heading_deg), job.seed, number, lidar, rules, final),
+        *(job.world, job.strategy.name, start, job.seed, number, lidar, rules, found.first),
         measures={name: value.item() if hasattr(value, "item") else value for name, value in last.items()},
         asked=job.strategy,
         compile_s=report.costs.compile_s,

@@ -17,9 +17,10 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any, get_args, get_type_hints
 
 import numpy as np
+import pandas as pd
 from scipy import ndimage
 
 from jexplore import segment
@@ -43,7 +44,10 @@ _OPPOSITE = -0.5  # cosine of the angle at which two walls are seen that lie on 
 
 @dataclasses.dataclass(frozen=True)
 class Geometry:
-    """Figures of one world. Shares go from 0 to 1; NaN where there is nothing to measure."""
+    """Figures of one world. Shares go from 0 to 1; NaN where there is nothing to measure.
+
+    Fields that a table shows say the head of their column and their decimals.
+    """
 
     world: str
     """Name of the world."""
@@ -52,48 +56,35 @@ class Geometry:
     rooms_from: str
     """`truth`: the world knows its rooms; `segments`: found by `jexplore.segment`."""
     rooms: int
-    rooms_per_100_m2: float
-    room_m2: float
+    rooms_per_100_m2: Annotated[float, "rooms/100 m²", 2]
+    room_m2: Annotated[float, "room m²", 1]
     """Median area of the free cells of a room, square metres."""
-    small_rooms: float
+    small_rooms: Annotated[float, "< 8 m²", 2]
     """Share of the rooms below `SMALL_M2`."""
-    large_rooms: float
+    large_rooms: Annotated[float, "> 60 m²", 2]
     """Share of the rooms over `LARGE_M2`."""
     openings: int
-    opening_m: float
+    opening_m: Annotated[float, "opening m", 2]
     """Median width of an opening, metres."""
-    wide_openings: float
+    wide_openings: Annotated[float, "≥ 1.6 m", 2]
     """Share of the openings that are `WIDE_OPENING_M` wide or wider."""
-    corridor_low_m: float
-    corridor_high_m: float
+    corridor_low_m: Annotated[float, "corridor m", 2]
+    corridor_high_m: Annotated[float, "to", 2]
     """Quartiles of the width of the corridors, over the cells of their axes, metres."""
-    dead_ends: float
+    dead_ends: Annotated[float, "dead ends", 2]
     """Share of the rooms that have exactly one opening."""
-    loops_per_1000_m2: float
+    loops_per_1000_m2: Annotated[float, "ways round/1000 m²", 1]
     """Ways round: obstacles longer than `WALL_LENGTH_M` that the free space surrounds, a 1000 m2 of free area."""
-    islands_per_100_m2: float
+    islands_per_100_m2: Annotated[float, "islands/100 m²", 1]
     """Obstacles up to `WALL_LENGTH_M` long that touch no wall, a 100 m2 of free area."""
-    long_islands_per_100_m2: float
+    long_islands_per_100_m2: Annotated[float, "> 0.3 m", 1]
     """Those of them that are longer than `LEG_M`."""
-    clear_share: float
+    clear_share: Annotated[float, "clear", 2]
     """Of the free cells, those of the largest region that a robot with the clearance can drive over."""
 
 
-GEOMETRY_COLUMNS = {
-    "rooms/100 m²": ("rooms_per_100_m2", 2),
-    "room m²": ("room_m2", 1),
-    "< 8 m²": ("small_rooms", 2),
-    "> 60 m²": ("large_rooms", 2),
-    "opening m": ("opening_m", 2),
-    "≥ 1.6 m": ("wide_openings", 2),
-    "corridor m": ("corridor_low_m", 2),
-    "to": ("corridor_high_m", 2),
-    "dead ends": ("dead_ends", 2),
-    "ways round/1000 m²": ("loops_per_1000_m2", 1),
-    "islands/100 m²": ("islands_per_100_m2", 1),
-    "> 0.3 m": ("long_islands_per_100_m2", 1),
-    "clear": ("clear_share", 2),
-}
+_COLUMNS = {name: get_args(hint)[1:] for name, hint in get_type_hints(Geometry, include_extras=True).items()}
+GEOMETRY_COLUMNS = {column[0]: (name, column[1]) for name, column in _COLUMNS.items() if column}
 """Head of a column of the table -> the field of `Geometry` and its decimals."""
 
 
@@ -141,20 +132,17 @@ def geometry(world: World, *, clearance_m: float = 0.30) -> Geometry:
 
 def geometry_table(found: Sequence[Geometry]) -> str:
     """Format `Geometry` records as an aligned Markdown table; more than one end with a row of medians."""
-    rows = [[one.world, *_texts(dataclasses.asdict(one))] for one in found]
-    if len(found) > 1:
-        rows.append(["median", *_texts(medians(found))])
-    return aligned_table(["world", *GEOMETRY_COLUMNS], rows, left=["world"])
+    fields, decimals = zip(*GEOMETRY_COLUMNS.values())
+    rows = [(one.world, *(getattr(one, field) for field in fields)) for one in found]
+    rows += [("median", *medians(found).values())] if len(found) > 1 else []
+    lines = [[name, *map(number_text, values, decimals)] for name, *values in rows]
+    return aligned_table(["world", *GEOMETRY_COLUMNS], lines, left=["world"])
 
 
 def medians(found: Sequence[Geometry]) -> dict[str, float]:
     """Compute the median of every column of the table over worlds: field -> number, NaN without any."""
-    values = {field: np.array([getattr(one, field) for one in found], float) for field, _ in GEOMETRY_COLUMNS.values()}
-    return {field: _median(some[~np.isnan(some)]) for field, some in values.items()}
-
-
-def _texts(values: dict[str, Any]) -> list[str]:
-    return [number_text(values[field], decimals) for field, decimals in GEOMETRY_COLUMNS.values()]
+    fields = [field for field, _ in GEOMETRY_COLUMNS.values()]
+    return pd.DataFrame([dataclasses.asdict(one) for one in found])[fields].median().to_dict()
 
 
 def _median(values):

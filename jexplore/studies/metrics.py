@@ -29,26 +29,20 @@ def named_metrics(metrics: MetricsLike) -> dict[str, Any]:
         texts = list(texts) if isinstance(texts, Iterable) else [texts]
         if not all(isinstance(text, str) for text in texts):
             raise InputError(f"metrics must be a mapping of names to functions, got {metrics!r}")
-        pairs = [_named(text) for text in texts]
+        split = [text.rpartition("=") for text in texts]
+        pairs = [(name or place.rpartition(":")[2], place) for name, _, place in split]
     require_different("metrics", [str(name) for name, _ in pairs], "; name=module:function tells them apart")
     for name, thing in pairs:
         if not (isinstance(thing, str) or callable(thing)):
             raise InputError(f"metric {name!r}: {shown(thing)} is no metric: expected a function or module:function")
-        what = f"metric {thing!r}" if isinstance(thing, str) else f"metric {described(_function(thing))}"
+        what = (
+            f"metric {thing!r}" if isinstance(thing, str) else f"metric {described(getattr(thing, 'function', thing))}"
+        )
         if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name) or name[0] == "_":
             raise InputError(f"{what}: its name must be an identifier such as map_error, got {name!r}")
         if name in TAKEN:
             raise InputError(f"{what}: its name must be new, and {name!r} is in the tables already")
     return dict(pairs)
-
-
-def _named(text):
-    name, _, place = text.rpartition("=")
-    return name or place.rpartition(":")[2], place
-
-
-def _function(thing):
-    return getattr(thing, "function", thing)
 
 
 def ready_metrics(metrics: MetricsLike) -> dict[str, Metric]:

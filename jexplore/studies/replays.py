@@ -2,9 +2,8 @@
 
 import dataclasses
 import functools
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from types import MappingProxyType
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +14,7 @@ from jexplore.config import InputError
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.runner import own_cores
 from jexplore.exploration import batch
-from jexplore.exploration.batch import Job, Outcomes
+from jexplore.exploration.batch import Job
 from jexplore.exploration.native import show_episode
 from jexplore.exploration.replay import Moment, moments
 from jexplore.exploration.site import prepare_site
@@ -156,44 +155,35 @@ def _aims(final, shown):
 
 
 def replays_of(
-    jobs: Sequence[Job], firsts: Mapping[int, Outcomes] = MappingProxyType({}), *,
+    jobs: Sequence[Job], *,
     episodes: int = EPISODES, max_frames: int = MAX_FRAMES, labels: Sequence[str] = (), engine: str = "auto",
 ) -> tuple[list[ReplayData], list[str]]:  # fmt: skip
     """Replay the first episodes of the first jobs, for a page: the replays, and lines about missing ones.
 
     Args:
       jobs: of a run, in its order, with their scanners and rules.
-      firsts: number of a job -> its outcomes, with episode 0. If one of them is missing, these are run, as later
-        episodes are, which costs little with compiled programs.
       episodes: most episodes shown of each job; those after the first have `FEWER_FRAMES` at most.
       max_frames: of a replay.
       labels: what tells each job from others of its world and strategy; by default its seed.
       engine: as in `batch.run_jobs`.
     """
-    notes = []
-    given = [i for i, job in enumerate(jobs) if job.rules is None or job.rules.on_lattice]
-    if len(given) < len(jobs):
+    pairs, notes = list(zip(jobs, labels or [""] * len(jobs))), []
+    moving = [(job, label) for job, label in pairs if job.rules is None or job.rules.on_lattice]
+    if len(moving) < len(pairs):
         notes.append("There are no replays of robots that do not move from cell to cell, or whose pose is not given.")
-        firsts = {n: firsts[i] for n, i in enumerate(given) if i in firsts}
-        labels = [labels[i] for i in given if labels]
-        jobs = [jobs[i] for i in given]
-    if not jobs:
-        return [], notes
-    if len(jobs) > MAX_PAIRS:
-        notes.append(f"Replays show the first {MAX_PAIRS} of {len(jobs)} pairs of world and strategy.")
-    jobs = list(jobs[:MAX_PAIRS])
+    if len(moving) > MAX_PAIRS:
+        notes.append(f"Replays show the first {MAX_PAIRS} of {len(moving)} pairs of world and strategy.")
+    made, moving = [], moving[:MAX_PAIRS]
     use_compilation_cache()
-    made, have = [], [firsts[i] for i in range(len(jobs)) if i in firsts]
-    for episode in range(min([episodes, *(len(job.starts) for job in jobs)])):
-        if episode or len(have) < len(jobs):
-            have = batch.run_jobs(jobs, Lidar(), Rules(), only=episode, engine=engine).outcomes
-        shown = []
-        for job, found, label in zip(jobs, have, labels or [""] * len(jobs)):
+    for episode in range(min((len(job.starts) for job, _ in moving), default=0))[:episodes]:
+        shown, own = [], [job for job, _ in moving]
+        ran = batch.run_jobs(own, Lidar(), Rules(), only=episode, engine=engine).outcomes
+        for (job, label), found in zip(moving, ran):
             title = f"{job.strategy.name} in {job.world.name}, episode {job.first + episode}"
             if found.first is None:
                 notes.append(f"{title}: no replay, the run was interrupted before it ended.")
             elif job.team is None and found.first.plans is None:
-                notes.append(f"{title}: no replay, it made more plans than are kept.")
+                notes.append(f"{title}: {why_no_replay(job.rules or Rules())}.")
             else:
                 shown.append((job, found, label))
         most = min(max_frames, FEWER_FRAMES) if episode else max_frames

@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import itertools
-import math
 import os
 from collections.abc import Callable
 from typing import Any
@@ -38,15 +37,6 @@ def world_names(paper: Paper, maps: str | os.PathLike[str] | None = None) -> dic
         return {name: environment.counterpart for name, environment in paper.environments.items()}
     folder = os.path.expanduser(maps)
     return {name: os.path.join(folder, found.file) + found.scale for name, found in paper.environments.items()}
-
-
-def require_maps(paper: Paper, maps: str | os.PathLike[str]) -> None:
-    """Refuse a folder that lacks a map of the paper, naming the first one that is missing."""
-    files = [environment.file for environment in paper.environments.values()]
-    for file in files:
-        path = os.path.join(os.path.expanduser(maps), file)
-        if not os.path.isfile(path):
-            raise InputError(f"maps must be a folder that holds {', '.join(files)}; there is no file {path}")
 
 
 def verdict(ours: paired.PairedRatio) -> str:
@@ -104,10 +94,8 @@ class ReproductionResult:
         for name, environment in self.paper.environments.items():
             for a, b in itertools.combinations(sorted(environment.paths, key=lambda key: environment.paths[key][0]), 2):
                 pair = [(self.worlds[name], a), (self.worlds[name], b)]
-                ours, both = paired.PairedRatio(*[math.nan] * 4, n=0), paths_m.reindex(columns=pair).dropna()
-                complete = outcomes.reindex(columns=pair).loc[both.index] == "COMPLETE"
-                if len(both):
-                    ours = paired.paired_ratio(both[pair[0]], both[pair[1]])
+                ours = paired.finite_ratio(*paths_m.reindex(columns=pair).to_numpy().T)
+                complete = (outcomes.reindex(columns=pair) == "COMPLETE").all(axis=1)
                 paths = environment.paths[a], environment.paths[b]
                 welch = ttest_ind_from_stats(*paths[0], runs, *paths[1], runs, equal_var=False)
                 rows.append(
@@ -115,7 +103,7 @@ class ReproductionResult:
                         **{"environment": name, "a": a, "b": b, "claimed": {a, b} in self.paper.claimed},
                         **{"paper_ratio": paths[0][0] / paths[1][0], "paper_p": float(welch.pvalue)},
                         **{"ratio": ours.ratio, "ratio_low": ours.low, "ratio_high": ours.high, "p": ours.p},
-                        **{"verdict": verdict(ours), "pairs": ours.n, "complete": int(complete.all(axis=1).sum())},
+                        **{"verdict": verdict(ours), "pairs": ours.n, "complete": int(complete.sum())},
                     }
                 )
         return pd.DataFrame(rows)
@@ -196,8 +184,11 @@ def prepare_paper(
 ) -> list[Job]:  # fmt: skip
     """Check and load everything before `reproduce` runs. Arguments as there."""
     paper, jobs = find(name), []
-    if maps is not None:
-        require_maps(paper, maps)
+    files = [environment.file for environment in paper.environments.values()]
+    for file in () if maps is None else files:
+        path = os.path.join(os.path.expanduser(maps or ""), file)
+        if not os.path.isfile(path):
+            raise InputError(f"maps must be a folder that holds {', '.join(files)}; there is no file {path}")
     for environment, world in world_names(paper, maps).items():
         strategies = sorted(paper.environments[environment].paths, key=lambda name: name != paper.reference)
         how = {"episodes": episodes, "seed": seed, "cell_m": cell_m, "start": "random", "lidar": lidar, "rules": rules}

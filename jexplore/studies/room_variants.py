@@ -1,5 +1,6 @@
 """The ways to divide a map into rooms, by name: one interface to the kernels and to the plain methods."""
 
+import dataclasses
 import functools
 from typing import Any, NamedTuple
 
@@ -18,7 +19,8 @@ BEST = "voronoi"  # by left-out scores: `benchmarks/segmentation_left_out.py`
 
 
 @functools.partial(checked_names, own="segment_maps")
-class RoomSettings(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class RoomSettings:
     """Numbers and choices of all variants."""
 
     ratio: float = watershed.RATIO  # voronoi: see `watershed.RoomCriteria`
@@ -28,6 +30,11 @@ class RoomSettings(NamedTuple):
     prominence_m: float = segment.PROMINENCE_M  # thrun, wurm, holz: see `segment.Criteria`, metres
     gamma: float = 3.0  # cells
 
+    def __post_init__(self) -> None:
+        most = {"ratio": 1, "narrowing": 1, "smallest_m2": 1e6, "clutter_m": 1000, "prominence_m": 100, "gamma": 1000}
+        for name, high in most.items():
+            require_number(name, getattr(self, name), high=high)
+
 
 class RoomMap(NamedTuple):
     """A map in rooms."""
@@ -36,14 +43,6 @@ class RoomMap(NamedTuple):
     lines: np.ndarray  # [n] int, flat index of the cells of the Voronoi graph, where the variant has one
     critical: np.ndarray  # [m] int, flat index of its critical points
     overflow: int  # what did not fit
-
-
-def require(settings: RoomSettings) -> None:
-    """Refuse settings that make no sense."""
-    for name in ("ratio", "narrowing"):
-        require_number(name, getattr(settings, name), high=1)
-    for name, high in (("smallest_m2", 1e6), ("clutter_m", 1000), ("prominence_m", 100), ("gamma", 1000)):
-        require_number(name, getattr(settings, name), high=high)
 
 
 def divided(free: np.ndarray, unseen: np.ndarray, variant: str, settings: RoomSettings, cell_m: float) -> RoomMap:

@@ -14,7 +14,7 @@ from jexplore.rooms.doors import Doors, compared
 from jexplore.rooms.scores import AGREEMENT, rooms_of, score, scored_regions
 from jexplore.studies.checks import LIDAR, RULES, list_of, ready_worlds
 from jexplore.studies.explore import maps_at, prepare_job, run_job
-from jexplore.studies.room_variants import BEST, ROOM_VARIANTS, RoomSettings, divided, require
+from jexplore.studies.room_variants import BEST, ROOM_VARIANTS, RoomSettings, divided
 from jexplore.worlds import known_generators, names
 from jexplore.worlds.names import short_names
 from jexplore.worlds.readers.images import load_image, read_pixels
@@ -110,7 +110,7 @@ def segment_maps(
     """
     chosen: Any = list_of("variants", variants)
     numbers = RoomSettings(ratio, narrowing, smallest_m2, clutter_m, prominence_m, gamma)
-    worlds = prepare_maps(maps, truth, chosen, cell_m, numbers)
+    worlds = prepare_maps(maps, truth, chosen, cell_m)
     jobs = [
         prepare_job(world, EXPLORER, seed=seed, cell_m=cell_m, start="random", lidar=LIDAR, rules=RULES)
         for world in worlds
@@ -140,7 +140,7 @@ def _stages(world, job):
 
 def prepare_maps(
     maps: str | os.PathLike[str] | World | Iterable[str | os.PathLike[str] | World], truth: Any, variants: Any,
-    cell_m: float, settings: RoomSettings,
+    cell_m: float,
 ) -> list[World]:  # fmt: skip
     """Check and load everything before `segment_maps` runs: worlds with their true rooms. Arguments as there."""
     variants = list_of("variants", variants)
@@ -148,7 +148,6 @@ def prepare_maps(
     for variant in variants:
         if variant not in ROOM_VARIANTS:
             raise unknown("variant", variant, ROOM_VARIANTS)
-    require(settings)
     worlds = ready_worlds(maps, cell_m)
     for world in worlds:
         warn_of_outside(world, start_region(world, RULES.clearance_m))

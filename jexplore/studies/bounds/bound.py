@@ -133,7 +133,7 @@ class BoundsResult:
                     raise InputError(f"the bounds are for {name} {self.settings[name]:g}, the episodes had {value:g}")
         digests = {os.fspath(world.name): world_digest(world) for world in comparison.worlds}
         table = with_bound_ratios(comparison.episodes, self.table, digests)
-        return with_team_ratios(table, self, comparison.made.jobs) if "robots" in table else table
+        return with_team_ratios(table, self, comparison.jobs) if "robots" in table else table
 
     def figure(self) -> "Figure":
         """Draw the walks and the witnesses of the first starts: a matplotlib `Figure`."""

@@ -3,11 +3,11 @@
 import collections
 import dataclasses
 import functools
+import itertools
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,32 +16,27 @@ from matplotlib.figure import Figure
 from jexplore.arrays.pictures import MAX_TABLE_ROWS, axes_of, html_of, or_text, png_of
 from jexplore.config import InputError, checked_names, unknown
 from jexplore.engine.backend import use_compilation_cache
-from jexplore.exploration.batch import Job, Outcomes
-from jexplore.exploration.state import Outcome
+from jexplore.exploration.batch import Job
+from jexplore.report.ledger import Ledger
 from jexplore.report.plots import maps
-from jexplore.report.tables import number_text, p_text, ratio_text, spread_text
+from jexplore.report.tables import table_cells
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.results import provenance, saving
 from jexplore.studies.results.columns import TEAM_MEASURES
-from jexplore.studies.results.details import EXTRAS, Seen, parts_of
+from jexplore.studies.results.details import EXTRAS, MAP, PROGRESS, SEEN, WAY, Seen, read_details
 from jexplore.studies.results.tables import ByStrategy
-from jexplore.studies.results.units import Ran, run_units
+from jexplore.studies.results.units import Ran, columns_of, cut_jobs, run_units
 from jexplore.studies.statistics import by_world, figures, teams
 from jexplore.studies.statistics.coverage import at_coverage, coverage_text
 from jexplore.studies.statistics.league import over_worlds_text, standings, standings_table
 from jexplore.studies.statistics.paired import MIN_PAIRS
 from jexplore.worlds.world import World
 
-
-class Made(NamedTuple):
-    """Provenance of a comparison, for its folder."""
-
-    jobs: tuple[Job, ...] = ()
-    firsts: Mapping[int, Outcomes] = MappingProxyType({})  # number of a job -> what its first episodes left
-    record: Mapping[str, Any] = MappingProxyType({})  # entries of run.json that its tables do not tell
-
-    def __reduce__(self) -> Any:
-        return Made, ((), {}, dict(self.record))  # strategies are functions, which cannot be pickled
+SHORT_TABLE = (
+    *("world", "strategy", "n", "path m", "ratio to the first", "ratio to the reference", "p (Holm)", "explored"),
+    *("outcomes", "best in"),
+)
+"""Columns of tables that a notebook shows."""
 
 
 @checked_names
@@ -56,8 +51,6 @@ class ComparisonResult(ByStrategy):
     """One row an episode, ordered by world, strategy, episode; columns `columns.COLUMNS` and `metrics`."""
     worlds: tuple[World, ...]
     """The worlds, in order."""
-    first: dict[str, list[Seen]]
-    """Per world name, how episode 0 of every strategy ended."""
     compile_s: float
     """Seconds spent compiling, or loading compiled programs."""
     run_s: float
@@ -66,23 +59,59 @@ class ComparisonResult(ByStrategy):
     """Episodes that are missing because the run was interrupted; of the others, those that every strategy finished."""
     resumed: int = 0
     """Episodes that an earlier run had finished, with which this one went on."""
-    progress: dict[tuple[str, str], np.ndarray] = dataclasses.field(default_factory=dict)
-    """(world, strategy) -> `[N, 100]` float64: metres driven when each episode in the table first knew 1, 2, ... 100 %
-    of the cells that can be known in its world; NaN where it never did."""
-    paths: dict[tuple[str, str], list[np.ndarray]] = dataclasses.field(default_factory=dict)
-    """With `keep`: (world, strategy) -> a list with an array for each episode in the table, `[n + 1, 3]` int32: row,
-    col and known cells, at the start and after each of n steps."""
-    maps: dict[tuple[str, str], np.ndarray] = dataclasses.field(default_factory=dict)
-    """With `keep="maps"`: (world, strategy) -> `[N, H, W]` uint8, the last map of each episode in the table: 0 unknown,
-    1 free, 2 occupied."""
     lidar: Lidar | None = None
     """The scanner; None if unknown."""
     rules: Rules | None = None
     """The rules; None if unknown."""
     metrics: tuple[str, ...] = ()
     """Names of the columns of your own metrics."""
-    made: Made = dataclasses.field(default=Made(), repr=False, compare=False)
-    """Provenance for its folder."""
+    details: pd.DataFrame = dataclasses.field(default_factory=pd.DataFrame, repr=False)
+    """One row an episode: see `details.EXTRAS`."""
+    jobs: tuple[Job, ...] = dataclasses.field(default=(), repr=False, compare=False)
+    """The jobs that ran; of a comparison that was loaded, or copied to another process, none."""
+    record: Mapping[str, Any] = dataclasses.field(default_factory=dict, repr=False, compare=False)
+    """Entries of run.json that its tables do not tell."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "jobs": ()}  # strategies are functions, which cannot be pickled
+
+    @functools.cached_property
+    def first(self) -> dict[str, list[Seen]]:
+        """Return by world how episode 0 of every strategy ended."""
+        found: dict[str, list[Seen]] = {}
+        for (world, _), rows in self._kept(SEEN, list).items():
+            found[world] = [*found.get(world, ()), *(seen for seen in rows if seen is not None)]
+        return {world: own for world, own in found.items() if own}
+
+    @functools.cached_property
+    def progress(self) -> dict[tuple[str, str], np.ndarray]:
+        """Return by (world, strategy) when each episode first knew 1, 2, ... 100 % of what can be known in its world.
+
+        `[N, 100]` float64, metres driven; NaN where it never did.
+        """
+        return self._kept(PROGRESS, np.stack)
+
+    @functools.cached_property
+    def paths(self) -> dict[tuple[str, str], list[np.ndarray]]:
+        """With `keep`, return by (world, strategy) the ways of its episodes: a list of arrays.
+
+        Each is `[n + 1, 3]` int32: row, col and known cells, at the start and after each of n steps.
+        """
+        return self._kept(WAY, list)
+
+    @functools.cached_property
+    def maps(self) -> dict[tuple[str, str], np.ndarray]:
+        """With `keep="maps"`, return by (world, strategy) the last map of each episode.
+
+        `[N, H, W]` uint8: 0 unknown, 1 free, 2 occupied.
+        """
+        return self._kept(MAP, np.stack)
+
+    def _kept(self, name, join):
+        """Return a column of `details` by world and strategy; nothing where it has no such column."""
+        keys = [self.episodes[key].to_numpy() for key in ("world", "strategy")]
+        found: Any = self.details[name].groupby(keys, sort=False) if name in self.details else ()
+        return {pair: join(rows.tolist()) for pair, rows in found}
 
     @functools.cached_property
     def summary(self) -> pd.DataFrame:
@@ -108,7 +137,7 @@ class ComparisonResult(ByStrategy):
     def warnings(self) -> list[str]:
         """List the reasons that make the comparison unfair or inexact: lines."""
         lines = [f"interrupted: {self.interrupted} episodes are missing"] if self.interrupted else []
-        return [*lines, *by_world.warnings_of(self.episodes, self.progress), *_bounds_met(self.episodes)]
+        return [*lines, *by_world.warnings_of(self.episodes, self.progress)]
 
     @property
     def episodes_per_s(self) -> float:
@@ -134,7 +163,7 @@ class ComparisonResult(ByStrategy):
         `jx.load` reads it, ways and maps included, and `jx.compare(..., out=folder, resume=True)` takes it for done.
         `overwrite` replaces a run that is there. The `report` of a comparison that was loaded has no replays.
         """
-        if "command" not in self.made.record:
+        if "command" not in self.record:
             raise InputError(
                 "only what jx.compare or jx.load returned can be saved: episodes.to_csv() writes the table"
             )
@@ -186,46 +215,16 @@ class ComparisonResult(ByStrategy):
 
     def _short_table(self):
         """Return names of the columns and rows of text: every world's, or of many worlds the statistics over all."""
-        if len(self.worlds) > 1 and len(self.summary) > MAX_TABLE_ROWS:
-            head = ("strategy", "ratio to the first", "p (Holm)", "best in")
-            rows = self.standings.to_dict("records")
-            return head, [(row["strategy"], *_beside_first(row), f"{row['best']} of {row['worlds']}") for row in rows]
-        lines = []
-        for row in self.summary.to_dict("records"):
-            line = (row["world"], row["strategy"], str(row["n"]), spread_text(row["mean"], row["sd"]))
-            lines.append((*line, *_beside_first(row), number_text(row["explored_fraction"], 3), row["outcomes"]))
-        return ("world", "strategy", "n", "path m", "ratio to the first", "p (Holm)", "explored", "outcomes"), lines
+        many = len(self.worlds) > 1 and len(self.summary) > MAX_TABLE_ROWS
+        text = standings_table(self.standings) if many else by_world.markdown_table(self.summary)
+        head, lines, _ = table_cells(text)
+        shown = [name in SHORT_TABLE for name in head]
+        return [*itertools.compress(head, shown)], [[*itertools.compress(line, shown)] for line in lines]
 
     def __repr__(self) -> str:
         n, m = len(set(self.episodes["strategy"])), len(self.worlds)
         strategies, worlds = "strategy" if n == 1 else "strategies", "world" if m == 1 else "worlds"
         return f"<Comparison of {n} {strategies} in {m} {worlds}, {len(self.episodes)} episodes>"
-
-
-def _beside_first(row):
-    """Format the ratio to the first strategy with its interval, and the corrected p."""
-    return ratio_text(row["ratio"], row["ratio_low"], row["ratio_high"]), p_text(row["p_holm"])
-
-
-PLAN_LIMITS = {
-    "saturated": "some cells were too far to plan to",
-    "overflow": "a plan had to leave out some frontier clusters, mixed cells, Voronoi nodes or critical points",
-}
-
-
-def _bounds_met(episodes):
-    """Return warnings about episodes that met a limit of what a plan can express or has room for."""
-    lines = []
-    for (world, strategy), rows in episodes.groupby(["world", "strategy"], sort=False):
-        for column, what in PLAN_LIMITS.items():
-            count = int((rows[column] > 0).sum())
-            if count:
-                lines.append(f"{world}: {strategy}: in {count} of {len(rows)} episodes {what}")
-        refused = int((rows["outcome"] == Outcome.BAD_TARGET.name).sum())
-        if refused:
-            what = "ended because the strategy chose a target that no path leads to, three times in a row"
-            lines.append(f"{world}: {strategy}: {refused} of {len(rows)} episodes {what}")
-    return lines
 
 
 def assemble(jobs: Sequence[Job], ran: Ran) -> ComparisonResult:
@@ -242,31 +241,37 @@ def assemble(jobs: Sequence[Job], ran: Ran) -> ComparisonResult:
     wanted = table["world"].map(collections.Counter(world for world, _ in places))
     whole = table.groupby(["world", "episode"])["strategy"].transform("size") == wanted
     order = np.lexsort([table["episode"], place])
-    table = table.iloc[order[whole.to_numpy()[order]]]
+    table = table.iloc[order[whole.to_numpy()[order]]].reset_index(drop=True)
     if not len(table):
         raise KeyboardInterrupt
     worlds = {os.fspath(job.world.name): job.world for job in jobs}
     costs = ran.costs
     return ComparisonResult(
-        table.drop(columns=[name for name in EXTRAS if name in table]).reset_index(drop=True),
+        table.drop(columns=[*EXTRAS], errors="ignore"),
         tuple(worlds[name] for name in dict.fromkeys(table["world"])),
         compile_s=costs.compile_s,
         run_s=costs.run_s,
         interrupted=sum(len(job.starts) for job in jobs) - len(table),
         resumed=ran.resumed,
-        **parts_of(table),
+        details=table.filter([*EXTRAS]),
         lidar=jobs[0].lidar,
         rules=jobs[0].rules,
         metrics=(*jobs[0].metrics, *(() if jobs[0].team is None else TEAM_MEASURES)),
-        made=Made(tuple(jobs), ran.firsts, provenance.engine_of(costs)),
+        jobs=tuple(jobs),
+        record=provenance.engine_of(costs),
     )
 
 
-def run_comparison(jobs: Sequence[Job], **how: Any) -> ComparisonResult:
-    """Run jobs; `how` as of `run_units`.
+def run_comparison(jobs: Sequence[Job], *, ledger: Ledger | None = None, **how: Any) -> ComparisonResult:
+    """Run jobs; `how` as of `run_units`. A ledger may continue a finished comparison of fewer episodes.
 
     Raises:
       KeyboardInterrupt: no episode has been finished by every strategy.
     """
     use_compilation_cache()
-    return assemble(jobs, run_units(jobs, **how))
+    after = 0 if ledger is None else ledger.after
+    earlier: list[Any] = []
+    if ledger is not None and after:
+        episodes, extras, _ = read_details(ledger.folder.parent)
+        earlier = [episodes[[*columns_of(jobs[0])]].join(extras)[episodes["episode"] < after]]
+    return assemble(jobs, run_units(jobs, cut_jobs(jobs, after), ledger=ledger, earlier=earlier, **how))

@@ -1,7 +1,6 @@
-"""Parts of a comparison outside its table of episodes: columns that are kept as bytes, in files of their own."""
+"""Parts of a comparison outside its table of episodes: columns that are kept as bytes, in a file of their own."""
 
 import io
-import itertools
 import os
 import zlib
 from pathlib import Path
@@ -68,41 +67,22 @@ def of_file(table: pd.DataFrame) -> pd.DataFrame:
     return table.assign(**{name: [_CODECS[name][1](one) for one in table[name]] for name in EXTRAS if name in table})
 
 
-def parts_of(table: Any) -> dict[str, Any]:
-    """Collect the `EXTRAS` of whole strategies, as the fields of a `ComparisonResult`."""
-    first, progress, paths, maps = {}, {}, {}, {}
-    for pair, rows in table.groupby(["world", "strategy"], sort=False):
-        progress[pair] = np.stack(rows[PROGRESS])
-        if WAY in rows:
-            paths[pair] = list(rows[WAY])
-        if MAP in rows:
-            maps[pair] = np.stack(rows[MAP])
-        if rows["episode"].iloc[0] == 0 and rows[SEEN].iloc[0] is not None:
-            first.setdefault(pair[0], []).append(rows[SEEN].iloc[0])
-    return {"first": first, "progress": progress, "paths": paths, "maps": maps}
-
-
 def details_of(found: Any) -> pd.DataFrame:
     """Return the worlds and `EXTRAS` of a `ComparisonResult` as bytes, a row an episode of its table, for its file."""
-    episodes, worlds = found.episodes, {os.fspath(world.name): world for world in found.worlds}
-    seen = {(world, one.strategy, 0): one for world, own in found.first.items() for one in own}
-    keys = zip(episodes["world"], episodes["strategy"], episodes["episode"])
-    extras: dict[str, list[Any]] = {SEEN: [seen.get(key) for key in keys]}
-    for name, of_pair in ((PROGRESS, found.progress), (WAY, found.paths), (MAP, found.maps)):
-        if of_pair:
-            extras[name] = list(itertools.chain.from_iterable(of_pair.values()))
-    own = [worlds.pop(name, None) for name in episodes["world"]]
+    worlds = {os.fspath(world.name): world for world in found.worlds}
+    own = [worlds.pop(name, None) for name in found.episodes["world"]]
     kept = "occupied", "cell_m", "origin_m", "rooms", "start", "name"
-    extras[WORLD] = [world and packed(**{name: getattr(world, name) for name in kept}) for world in own]
-    return to_file(pd.DataFrame(extras))
+    data = [world and packed(**{name: getattr(world, name) for name in kept}) for world in own]
+    return to_file(found.details).assign(**{WORLD: data})
 
 
-def read_details(folder: Path) -> tuple[pd.DataFrame, tuple[World, ...]]:
-    """Load the episodes of a comparison's folder, with `EXTRAS`, and its worlds."""
-    episodes, details = read_parquet(folder / "episodes.parquet", required=COLUMNS), read_parquet(folder / DETAILS)
+def read_details(folder: Path) -> tuple[pd.DataFrame, pd.DataFrame, tuple[World, ...]]:
+    """Load the episodes of a comparison's folder, their `EXTRAS`, and its worlds."""
+    episodes = read_parquet(folder / "episodes.parquet", required=COLUMNS)
+    details = read_parquet(folder / DETAILS, required=(WORLD, PROGRESS, SEEN))
     if len(details) != len(episodes):
         raise InputError(f"{folder / DETAILS} must have a row for each of {len(episodes)} episodes")
     worlds = [unpacked(data) for data in details[WORLD] if data is not None]
     for world in worlds:
         world |= {name: tuple(world[name].tolist()) for name in ("start", "origin_m") if name in world}
-    return episodes.join(of_file(details.drop(columns=WORLD))), tuple(World(**world) for world in worlds)
+    return episodes, of_file(details.drop(columns=WORLD)), tuple(World(**world) for world in worlds)

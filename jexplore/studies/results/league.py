@@ -74,19 +74,21 @@ def entries_of(run: Path, name: str) -> list[dict[str, Any]]:
     from jexplore.studies.results.loading import run_record
 
     league, asked = league_of(name), run_record(run).get("asked", {})
-    wanted = "version", "worlds", "digests", "own", "strategies"
-    if asked.get("command") != "compare" or not all(key in asked for key in wanted):
+    if asked.get("command") != "compare" or "own" not in asked or "digests" not in asked:
         raise InputError(f"{run}: not the folder of a comparison (jexplore compare)")
-    _require_same(run, league, asked)
+    records = {"lidar": Lidar(), "rules": Rules(), "robot": Robot()}
+    wanted = {"version": league.version, "worlds": list(league.worlds), "episodes": 1, "seed": 0, "teams": None}
+    wanted |= {"from_map": None, **{key: dataclasses.asdict(one) for key, one in records.items()}}
+    for key, value in wanted.items():
+        if (got := asked.get(key)) != (value := json.loads(json.dumps(value))):
+            raise InputError(f"{run}: {key} must be as the league's, got other {_difference(value, got)}")
     table, made = read_parquet(run / "episodes.parquet", required=("strategy", *COLUMNS)), []
     if REFERENCE not in set(table["strategy"]):
         raise InputError(f"{run}: {REFERENCE} is missing: every submission runs it too")
     for strategy, own in table.groupby("strategy", sort=False):
         missing = [world for world in league.worlds if world not in set(own["world"])]
-        if missing:
-            raise InputError(f"{run}: {strategy}: {len(missing)} episodes are missing, that in {missing[0]} first")
-        if len(own) != len(league.worlds):
-            raise InputError(f"{run}: {strategy}: {len(own)} episodes in {len(league.worlds)} worlds")
+        if missing or len(own) != len(league.worlds):
+            raise InputError(f"{run}: {strategy} must have an episode in each world, {', '.join(missing[:1])} first")
         own = own.set_index("world").reindex(league.worlds).reset_index()
         if digest_of(asked, own) != league.digest:
             raise InputError(f"{run}: worlds or starts are not those of {name}, though their names and the seed are")
@@ -97,37 +99,23 @@ def entries_of(run: Path, name: str) -> list[dict[str, Any]]:
     return made
 
 
-def _require_same(run, league, asked):
-    """Refuse a comparison whose settings are not the league's, and say which differ."""
-    if asked["version"] != league.version:
-        raise InputError(f"{run}: made by version {asked['version']}; the league is of {league.version}")
-    missing = [world for world in league.worlds if world not in asked["worlds"]]
-    more = [world for world in asked["worlds"] if world not in league.worlds]
-    if missing or more:
-        what = f"{missing[0]} and {len(missing) - 1} more are missing" if missing else f"{more[0]} is not one of them"
-        raise InputError(f"{run}: not the {len(league.worlds)} worlds of the league: {what}")
-    if asked["worlds"] != list(league.worlds):
-        raise InputError(f"{run}: the worlds of the league in another order")
-    if "teams" in asked or asked.get("from_map"):
-        raise InputError(f"{run}: the league is of one robot that begins without a map")
-    records = {"lidar": Lidar(), "rules": Rules(), "robot": Robot()}
-    wanted = {"episodes": 1, "seed": 0, **{k: dataclasses.asdict(own) for k, own in records.items()}}
-    for key, value in wanted.items():
-        got = asked.get(key)
-        if json.loads(json.dumps(value)) != got:
-            pair = (value, got) if isinstance(value, dict) and isinstance(got, dict) else None
-            names = [k for k in pair[0] if pair[1].get(k) != pair[0][k]] if pair else [shown(got)]
-            raise InputError(f"{run}: {key} must be as the league's, got other {', '.join(names)}")
+def _difference(wanted, got):
+    """Return what differs: names of the fields of a record, members of a list, or the value."""
+    if isinstance(wanted, dict) and isinstance(got, dict):
+        return ", ".join(key for key in wanted if got.get(key) != wanted[key]) or "fields"
+    if isinstance(wanted, list) and isinstance(got, list):
+        return ", ".join(sorted({*wanted} ^ {*got})[:1]) or "order"
+    return shown(got)
 
 
 def _require_rows(what, rows):
     """Refuse episodes with another number of columns, numbers that are not finite, or an unknown outcome."""
     for row in rows:
-        numbers = [value for name, value in zip(COLUMNS, row) if name not in ("world", "outcome")]
-        if len(row) != len(COLUMNS) or not all(isinstance(a, int | float) and math.isfinite(a) for a in numbers):
-            raise InputError(f"{what}: the episode in {row[0]} must have {len(COLUMNS)} values, all numbers finite")
-        if row[COLUMNS.index("outcome")] not in Outcome.__members__:
-            raise InputError(f"{what}: the episode in {row[0]} has no outcome that there is")
+        found = dict(zip(COLUMNS, row))
+        numbers = [value for name, value in found.items() if name not in ("world", "outcome")]
+        is_whole = len(row) == len(COLUMNS) and all(isinstance(a, int | float) and math.isfinite(a) for a in numbers)
+        if not is_whole or found["outcome"] not in Outcome.__members__:
+            raise InputError(f"{what}: the episode in {row[0]} must have an outcome and finite numbers")
 
 
 def submit(run: Path, name: str, folder: Path) -> dict[str, bool]:
@@ -138,8 +126,8 @@ def submit(run: Path, name: str, folder: Path) -> dict[str, bool]:
     made = entries_of(run, name)
     before = {entry["strategy"]: entry for entry in read_entries(folder, name)} if folder.is_dir() else {}
     for entry in made:
-        old = before.get(entry["strategy"])
-        for row, other in zip(entry["episodes"], [] if old is None else old["episodes"]):
+        old = before.get(entry["strategy"], entry)
+        for row, other in zip(entry["episodes"], old["episodes"]):
             if row != other:
                 raise InputError(f"{run}: {entry['strategy']} is entered with another episode in {row[0]}: take its "
                                  "file away first, or give the strategy another name")  # fmt: skip
@@ -147,10 +135,9 @@ def submit(run: Path, name: str, folder: Path) -> dict[str, bool]:
     folder.mkdir(parents=True, exist_ok=True)
     names = file_names([*before, *(entry["strategy"] for entry in new)])[len(before) :]
     for entry, file in zip(new, names):
-        *head, rows = ({key: value} for key, value in entry.items())
-        lines = [json.dumps(one)[1:-1] for one in head]
-        lines.append('"episodes": [\n  ' + ",\n  ".join(map(json.dumps, rows["episodes"])) + "\n ]")
-        (folder / f"{file}.json").write_text("{\n " + ",\n ".join(lines) + "\n}\n", encoding="utf-8")
+        head = ",\n ".join(json.dumps({key: value})[1:-1] for key, value in entry.items() if key != "episodes")
+        rows = ",\n  ".join(map(json.dumps, entry["episodes"]))
+        (folder / f"{file}.json").write_text(f'{{\n {head},\n "episodes": [\n  {rows}\n ]\n}}\n', encoding="utf-8")
     return {entry["strategy"]: entry in new for entry in made}
 
 
@@ -179,11 +166,8 @@ def entries_table(folder: Path, name: str) -> pd.DataFrame:
     entries = read_entries(folder, name)
     if not entries or entries[0]["strategy"] != REFERENCE:
         raise InputError(f"{folder}: no entry of {REFERENCE} there")
-    tables = [
-        pd.DataFrame(entry["episodes"], columns=pd.Index(COLUMNS)).assign(strategy=entry["strategy"])
-        for entry in entries
-    ]
-    return pd.concat(tables, ignore_index=True)
+    rows = [[*row, entry["strategy"]] for entry in entries for row in entry["episodes"]]
+    return pd.DataFrame(rows, columns=pd.Index([*COLUMNS, "strategy"]))
 
 
 def league_text(folder: Path, name: str) -> str:

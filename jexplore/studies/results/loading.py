@@ -18,8 +18,8 @@ from jexplore.report.folders import UNFINISHED
 from jexplore.report.ledger import require_same
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.reproduction import reproduction_of
-from jexplore.studies.results.comparison import ComparisonResult, Made
-from jexplore.studies.results.details import EXTRAS, parts_of, read_details
+from jexplore.studies.results.comparison import ComparisonResult
+from jexplore.studies.results.details import read_details
 from jexplore.studies.sweeps.plan import SweepPlan, prepare_sweep
 from jexplore.studies.sweeps.run import SweepResult, whole_table
 from jexplore.studies.sweeps.spec import read_spec
@@ -57,10 +57,9 @@ def _load(folder, record):
     for name in ("runs.parquet", "scores.parquet", "bounds.parquet"):
         if (folder / name).is_file():
             return store.read_parquet(folder / name)
-    for name, entry in (("explore", "result"), ("worlds", "worlds")):
-        if command == name and entry in record:
-            found = record[entry]
-            return pd.DataFrame(found if isinstance(found, list) else [found])
+    found = record.get({"explore": "result", "worlds": "worlds"}.get(command, ""))
+    if found is not None:
+        return pd.DataFrame(found if isinstance(found, list) else [found])
     if (folder / "bench.json").is_file():
         return read_json(folder / "bench.json", store.MAX_RECORD_BYTES)
     raise InputError(f"{os.fspath(folder)}: `jexplore {command}` leaves no table to be read")
@@ -98,13 +97,13 @@ def _as_written(folder, record):
 
 
 def _comparison(folder, record, command):
-    table, worlds = read_details(folder)
+    episodes, details, worlds = read_details(folder)
     found = ComparisonResult(
-        table.drop(columns=[name for name in EXTRAS if name in table]),
+        episodes,
         worlds,
         **{name: record[name] for name in ("compile_s", "run_s", "interrupted", "resumed")},
-        **parts_of(table),
-        made=Made(record=record),
+        details=details,
+        record=record,
         metrics=tuple(record.get("asked", {}).get("metrics", ())),
         lidar=Lidar(**record["configuration"]["lidar"]),
         rules=Rules(**record["configuration"]["rules"]),
@@ -125,18 +124,6 @@ def _sweep(folder, record):
     )
     spec, columns = read_spec(folder / "asked.yaml"), tuple(record["columns"])
     return SweepResult(spec, episodes, columns, costs, record["interrupted"], record["resumed"], record["reference"])
-
-
-def _require_whole(table, plan):
-    """Refuse parts that were cut in different ways: one that was continued and one that was not."""
-    twice = int(table.duplicated(["setting", "world", "strategy", "episode"]).sum())
-    missing = plan.episodes - len(table)
-    if twice or missing:
-        raise InputError(
-            f"the parts must hold each episode once: {twice:,} are there twice and {missing + twice:,} nowhere, "
-            "as parts continued with more episodes are cut in another way: make the part again, or continue all "
-            "alike"
-        )
 
 
 def _require_alike(path, there, here, trust):
@@ -180,6 +167,12 @@ def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tu
     now = store.jsonable(plan.asked())
     _require_alike(parts[0], first, {**first, **{key: now[key] for key in MADE_FROM}}, True)
     table = whole_table([found.episodes for found in tables], plan)
-    _require_whole(table, plan)
+    twice = int(table.duplicated(["setting", "world", "strategy", "episode"]).sum())
+    if twice or len(table) != plan.episodes:
+        raise InputError(
+            f"the parts must hold each episode once: {twice:,} are there twice and "
+            f"{plan.episodes - len(table) + twice:,} nowhere, as parts continued with more episodes are cut in another "
+            "way: make the part again, or continue all alike"
+        )
     costs = functools.reduce(Costs.plus, (found.costs for found in tables))
     return SweepResult(plan.spec, table, tuple(plan.columns), costs, reference=plan.reference), plan

@@ -1,5 +1,6 @@
 """Provenance of results: the worlds to the bit, the commit of this package."""
 
+import collections
 import functools
 import hashlib
 import importlib.metadata
@@ -66,28 +67,26 @@ def own_digests(jobs: Iterable[Job]) -> dict[str, str | None]:
       "strategy 'name'" or "metric 'name'" -> SHA-256, in hexadecimal digits, of all parameters and of the traced
       computation in the jobs' worlds; None if unknown, see `computation_digest`.
     """
-    parts: dict[str, dict[Any, str | None]] = {}
+    parts: dict[str, dict[Any, str | None]] = collections.defaultdict(dict)
     for job in jobs:
+        assert job.lidar is not None
+        assert job.rules is not None
         if job.team is not None and job.team.coordination is not None and job.team.coordinates not in COORDINATIONS:
             parts[f"coordination {job.team.coordinates!r}"] = {0: None}
-        policy, sides = job.strategy.policy, tuple(bucket(side) for side in ringed_shape(job.world.occupied))
+        policy, own = job.strategy.policy, f"strategy {job.strategy.name!r}"
         leaves, theirs = jax.tree.leaves(policy.params), adapt.is_theirs(policy)
+        if theirs or any(map(np.ndim, leaves)):
+            numbers = b"".join(np.ascontiguousarray(leaf).tobytes() for leaf in leaves)
+            parts[own]["numbers"] = hashlib.sha256(numbers).hexdigest()
+        sides = tuple(bucket(side) for side in ringed_shape(job.world.occupied))
         where = sides, job.world.within is None, job.world.cell_m, job.lidar, job.rules
-        if job.metrics and where not in parts.setdefault(f"metric {next(iter(job.metrics))!r}", {}):
-            assert job.lidar is not None
-            assert job.rules is not None
-            setup = prepare_site(job.world, job.lidar, job.rules, metrics=tuple(job.metrics.values())).setup
-            for name, metric in zip(job.metrics, setup.metrics):
-                parts.setdefault(f"metric {name!r}", {})[where] = metric.digest
-        own = parts.setdefault(f"strategy {job.strategy.name!r}", {}) if theirs or any(map(np.ndim, leaves)) else None
-        if own is None or where in own:
-            continue
-        own["numbers"] = hashlib.sha256(b"".join(np.ascontiguousarray(leaf).tobytes() for leaf in leaves)).hexdigest()
-        if theirs:
-            assert job.lidar is not None
-            assert job.rules is not None
-            site = prepare_site(job.world, job.lidar, job.rules)
-            own[where] = adapt.digest_of(site.with_strategy(job.strategy)[0].policy)
+        names = [*(f"metric {name!r}" for name in job.metrics), *([own] if theirs else ())]
+        if not all(where in parts[name] for name in names):
+            site = prepare_site(job.world, job.lidar, job.rules, metrics=tuple(job.metrics.values()))
+            found = [metric.digest for metric in site.setup.metrics]
+            found += [adapt.digest_of(site.with_strategy(job.strategy)[0].policy)] if theirs else []
+            for name, digest in zip(names, found):
+                parts[name][where] = digest
     told = {name: list(own.values()) for name, own in parts.items()}
     return {name: None if None in own else hashlib.sha256(repr(own).encode()).hexdigest() for name, own in told.items()}
 

@@ -7,12 +7,11 @@ import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from jexplore.arrays.files import first_line
 from jexplore.config import InputError, InputWarning
-from jexplore.exploration.batch import Job, Outcomes
+from jexplore.exploration.batch import Job
 from jexplore.report import folders, store
 from jexplore.report.page.report import write_report
 from jexplore.report.plots.compare import league_figure
@@ -45,19 +44,18 @@ def comparison_files(found: Any) -> dict[str, Any]:
 
 def pictures_of(
     figures: Mapping[str, Callable[[], Any]], record: Mapping[str, Any],
-    tables: Callable[[], Sequence[tuple[str, str]]], jobs: Sequence[Job] | None,
-    firsts: Mapping[int, Outcomes] = MappingProxyType({}), labels: Sequence[str] = (),
+    tables: Callable[[], Sequence[tuple[str, str]]], jobs: Sequence[Job] | None, labels: Sequence[str] = (),
 ) -> dict[str, Any]:  # fmt: skip
     """Return pictures and the page of a run: name -> content.
 
     `figures` are name -> function that draws it, `record` the content of run.json, `tables` a function that returns the
-    tables of the page, each with its heading. The page replays the first episodes of `jobs`; None for no page. `firsts`
-    and `labels` are as of `replays.replays_of`.
+    tables of the page, each with its heading. The page replays the first episodes of `jobs`; None for no page. `labels`
+    are as of `replays.replays_of`.
     """
 
     def page(path):
         engine = "jax" if record["engine"] == "jax" else "auto"
-        replays, notes = replays_of(jobs, firsts, labels=labels, engine=engine) if jobs else ([], [])
+        replays, notes = replays_of(jobs or (), labels=labels, engine=engine)
         write_report(path, record, tables(), list(figures), replays, notes)
 
     return dict(figures) if jobs is None else {**figures, "report.html": page}
@@ -89,11 +87,11 @@ def write_comparison(run: folders.RunFolder, found: Any, *, report: bool = True)
       InputWarning: a picture that could not be drawn.
     """
     how = {"environment": {**store.environment(), "commit": provenance.package_commit()}}
-    record = how | dict(found.made.record) | entries_of(found)
+    record = how | dict(found.record) | entries_of(found)
     run.write({**comparison_files(found), "run.json": record}, is_finished=not found.interrupted)
-    jobs = (() if found.interrupted else found.made.jobs) if report else None
+    jobs = (() if found.interrupted else found.jobs) if report else None
     tables = functools.partial(tables_of, found)
-    for name, draw in pictures_of(figures_of(found), record, tables, jobs, found.made.firsts).items():
+    for name, draw in pictures_of(figures_of(found), record, tables, jobs).items():
         try:
             run.add(name, draw)
         except Exception as error:  # a picture less costs no results

@@ -24,17 +24,32 @@ from jexplore.studies.results.columns import COLUMNS, TEAM_COLUMNS
 MIN_UNIT_EPISODES = 8  # least number of episodes of a unit
 UNIT_S = 1.0  # seconds that a unit should take, about: writing it takes a hundredth of that
 CELL_S = 1.3e-6  # seconds of an episode of closest+recheck, for every cell of its world (benchmarks/RESULTS.md)
-FIRSTS = 12  # jobs of which what the first episode left is kept, for a report
 MAX_UNITS_OF_JOB = 256  # of one strategy in one world
 
 
-class Unit(NamedTuple):
+class Block(NamedTuple):
     """Some episodes of a job."""
 
     job: int  # number of the job
     first: int  # number of the first episode
     n: int
+
+
+class Unit(NamedTuple):
+    """Some episodes that are run and kept together."""
+
+    blocks: tuple[Block, ...]
     phase: int  # units of a later phase come later
+
+    @property
+    def n(self) -> int:
+        """Number of its episodes."""
+        return sum(block.n for block in self.blocks)
+
+
+def unit_size(cells: int) -> int:
+    """Return about how many episodes a unit has, in a world with this number of cells."""
+    return max(MIN_UNIT_EPISODES, round(UNIT_S / (CELL_S * cells)))
 
 
 def cut_jobs(jobs: Sequence[Job], after: int = 0) -> list[Unit]:
@@ -42,11 +57,10 @@ def cut_jobs(jobs: Sequence[Job], after: int = 0) -> list[Unit]:
     units = []
     for i, job in enumerate(jobs):
         n = len(job.starts)
-        cells = job.world.shape[0] * job.world.shape[1]
-        size = max(MIN_UNIT_EPISODES, -(-n // MAX_UNITS_OF_JOB), round(UNIT_S / (CELL_S * cells)))
-        firsts = range(after, n, size)
-        units += [Unit(i, first, min(size, n - first), phase) for phase, first in enumerate(firsts)]
-    return sorted(units, key=lambda unit: (unit.phase, unit.job, unit.first))
+        size = max(unit_size(job.world.occupied.size), -(-n // MAX_UNITS_OF_JOB))
+        starts = range(after, n, size)
+        units += [Unit((Block(i, first, min(size, n - first)),), phase) for phase, first in enumerate(starts)]
+    return sorted(units, key=lambda unit: (unit.phase, unit.blocks))
 
 
 def rows_of(job: Job, found: Outcomes) -> dict[str, Any]:
@@ -70,15 +84,15 @@ def columns_of(job: Job) -> tuple[str, ...]:
     return *COLUMNS, *job.metrics, *(() if job.team is None else TEAM_COLUMNS)
 
 
-def join_columns(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    """Join columns of several units, one below the other, as one table."""
-    return pd.concat([pd.DataFrame(one).astype({"room_entries": "Int64"}) for one in rows], ignore_index=True)
+def table_of(rows: Mapping[str, Any]) -> pd.DataFrame:
+    """Return the columns of `rows_of`, and others, as a table."""
+    return pd.DataFrame(rows).astype({"room_entries": "Int64"})
 
 
-def unit_table(job: Job, found: Outcomes) -> pd.DataFrame:
-    """Return a comparison's unit: the episodes of a job, with its scanner and rules; columns with `details.EXTRAS`."""
+def block_table(block: Block, job: Job, found: Outcomes) -> pd.DataFrame:
+    """Return the episodes of a comparison's job, with its scanner and rules; columns with `details.EXTRAS`."""
     assert job.rules is not None
-    table, n = join_columns([rows_of(job, found)]), len(job.starts)
+    table, n = table_of(rows_of(job, found)), len(job.starts)
     extras: dict[str, list[Any]] = {
         details.PROGRESS: list(progress_m(found.result, job.world.cell_m)),
         details.SEEN: [None] * n,
@@ -94,93 +108,66 @@ def unit_table(job: Job, found: Outcomes) -> pd.DataFrame:
     return table.assign(**extras)
 
 
-def make_units(
-    work: Work[Any], jobs_of: Callable[[int], Sequence[Job]],
-    table_of: Callable[[int, Sequence[tuple[Job, Outcomes]]], Any], *,
-    windows: Callable[[Sequence[int]], Iterable[Sequence[int]]] = lambda left: [left], resumed: int = 0,
+class Ran(NamedTuple):
+    """Result of `run_units`."""
+
+    tables: list[pd.DataFrame]
+    costs: Costs
+    resumed: int  # episodes that were there before
+
+
+def run_units(
+    jobs: Sequence[Job], units: Sequence[Unit], numbers: Sequence[int] | None = None, *, ledger: Ledger | None = None,
+    earlier: Sequence[pd.DataFrame] = (), to_table: Callable[[Block, Job, Outcomes], pd.DataFrame] = block_table,
+    windows: Callable[[Sequence[int]], Iterable[Sequence[int]]] = lambda left: [left],
     on_progress: Callable[[int], object] | None = None, **how: Any,
-) -> Costs:  # fmt: skip
-    """Make the units that are left, of one run or of one after the other; return the costs.
+) -> Ran:  # fmt: skip
+    """Make the units that the ledger does not have. After Ctrl-C the result holds those that had been finished.
 
     Args:
-      work: takes every unit as soon as it is finished.
-      jobs_of: returns the jobs of a unit, each with scanner and rules.
-      table_of: returns the results of a unit, of its number, its jobs and what they left.
+      jobs: each with scanner and rules.
+      units: of the whole run.
+      numbers: of the units that are to be made; by default all.
+      ledger: takes every unit as soon as it is finished.
+      earlier: tables of a run that this one continues.
+      to_table: returns the results of a block, of its job cut to its episodes and what that left.
       windows: cuts the numbers of units into those that are run together.
-      resumed: number of episodes that are there already.
       on_progress: called with the number of episodes that are there.
       how: engine, lanes, workers, keep, shared_with, as of `batch.run_jobs`.
+
+    Raises:
+      KeyboardInterrupt: no unit has been finished.
     """
+    work: Work[pd.DataFrame] = Work(numbers or range(len(units)), ledger, details.to_file, details.of_file)
+    resumed = sum(map(len, (*earlier, *work.done.values())))
     costs, done = Costs(), resumed
     for window in windows(work.left) if work.left else ():
-        parts = [(number, job) for number in window for job in jobs_of(number)]
+        parts = [(number, block) for number in window for block in units[number].blocks]
         left, found = collections.Counter(number for number, _ in parts), {}
+        cut = [
+            jobs[i]._replace(starts=jobs[i].starts[first : first + n], first=first, phase=units[number].phase)
+            for number, (i, first, n) in parts
+        ]
 
-        def on_job(place, outcomes, parts=parts, left=left, found=found):
+        def on_job(place, outcomes, parts=parts, left=left, found=found, cut=cut):
             number = parts[place][0]
             found[place] = outcomes
             left[number] -= 1
             if not left[number]:
                 own = [i for i in sorted(found) if parts[i][0] == number]
-                work.put(number, table_of(number, [(parts[i][1], found.pop(i)) for i in own]))
+                tables = [to_table(parts[i][1], cut[i], found.pop(i)) for i in own]
+                work.put(number, pd.concat(tables, ignore_index=True))
 
         moved = None if on_progress is None else (lambda n, done=done: on_progress(n + done))
-        jobs = [job for _, job in parts]
         try:
-            ran = batch.run_jobs(jobs, Lidar(), Rules(), **how, on_progress=moved, on_job=on_job).costs
+            ran = batch.run_jobs(cut, Lidar(), Rules(), **how, on_progress=moved, on_job=on_job).costs
         except KeyboardInterrupt:
             costs.interrupted = True
             break
         costs = costs.plus(ran)
-        done += sum(len(job.starts) for job in jobs)
+        done += sum(len(job.starts) for job in cut)
         if costs.interrupted:
             break
-    return costs
-
-
-class Ran(NamedTuple):
-    """Result of `run_units`."""
-
-    tables: list[pd.DataFrame]  # of `unit_table`
-    costs: Costs
-    resumed: int  # episodes that were there before
-    firsts: dict[int, Outcomes]  # number of a job, one of the first -> what its first unit left, if that was run here
-
-
-def run_units(
-    jobs: Sequence[Job], *, ledger: Ledger | None = None, on_progress: Callable[[int], object] | None = None,
-    **how: Any,
-) -> Ran:  # fmt: skip
-    """Run every episode of every job, with its scanner and rules, that the ledger does not have.
-
-    `on_progress` and `how` are as of `make_units`. After Ctrl-C the result holds the units that had been finished.
-
-    Raises:
-      KeyboardInterrupt: there are none.
-    """
-    units, firsts = cut_jobs(jobs, 0 if ledger is None else ledger.after), {}
-    earlier = [] if ledger is None or not ledger.after else [_earlier(ledger, jobs)]
-    work: Work[pd.DataFrame] = Work(range(len(units)), ledger, details.to_file, details.of_file)
-    resumed = sum(map(len, (*earlier, *work.done.values())))
-
-    def jobs_of(number):
-        number, first, n, phase = units[number]
-        return [jobs[number]._replace(starts=jobs[number].starts[first : first + n], first=first, phase=phase)]
-
-    def table_of(number, made):
-        (job, found), unit = made[0], units[number]
-        if unit.first == 0 and unit.job < FIRSTS:
-            firsts[unit.job] = found
-        return unit_table(job, found)
-
-    costs = make_units(work, jobs_of, table_of, resumed=resumed, on_progress=on_progress, **how)
     if not work.done:  # a shorter run stays as it is
         raise KeyboardInterrupt
-    return Ran([*earlier, *work.results], costs, resumed, firsts)
-
-
-def _earlier(ledger, jobs):
-    """Return the episodes of the finished comparison that the run of a ledger continues, as `unit_table` does."""
-    table = details.read_details(ledger.folder.parent)[0]
-    kept = [name for name in details.EXTRAS if name in table]
-    return table.loc[table["episode"] < ledger.after, [*columns_of(jobs[0]), *kept]]
+    return Ran([*earlier, *work.results], costs, resumed)

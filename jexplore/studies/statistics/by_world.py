@@ -15,6 +15,11 @@ from jexplore.studies.statistics.paired import NO_RATIO, finite_ratio, holm, mea
 DONE = "COMPLETE", "EXPLORED"
 LIMITS = "STEP_LIMIT", "PLAN_LIMIT", "PATH_LIMIT", "TIME_LIMIT"
 OUTCOMES = *DONE, "BLOCKED", *LIMITS, "STUCK"
+PLAN_LIMITS = {
+    "saturated": "some cells were too far to plan to",
+    "overflow": "a plan had to leave out some frontier clusters, mixed cells, Voronoi nodes or critical points",
+}
+"""Column that counts plans that met a limit of what they can express or have room for -> the limit."""
 
 EQUAL_SHARE = 0.95
 """Share of the less thorough episode's known cells at which a pair is compared (equal coverage)."""
@@ -25,15 +30,19 @@ EQUAL_FRACTION = 0.01
 _SAME = ("start_row", "start_col", "start_heading_deg", "path_m", "turning_rad", "scans", "plans", "outcome")
 
 
-def _groups(episodes):
-    """Group rows by `{world: {strategy: rows}}` in order of first appearance; refuse an episode that occurs twice."""
-    groups = {}
-    for (world, strategy), rows in episodes.groupby(["world", "strategy"], sort=False):
-        twice = rows["episode"][rows["episode"].duplicated()]
-        if len(twice):
-            raise InputError(f"{world}, {strategy}: episode {twice.iloc[0]} must occur once, got it more than once")
-        groups.setdefault(world, {})[strategy] = rows
-    return groups
+def require_once(episodes: pd.DataFrame) -> None:
+    """Refuse an episode of a strategy in a world that occurs twice."""
+    twice = episodes.duplicated(["world", "strategy", "episode"]).to_numpy()
+    if twice.any():
+        world, strategy, number = episodes.loc[twice, ["world", "strategy", "episode"]].iloc[0]
+        raise InputError(f"{world}, {strategy}: episode {number} must occur once; choose one setting first")
+
+
+def _groups(episodes) -> dict[str, dict[str, Any]]:
+    """Group rows by `{world: {strategy: rows}}` in order of first appearance."""
+    require_once(episodes)
+    worlds: Any = episodes.groupby("world", sort=False)
+    return {world: dict(iter(own.groupby("strategy", sort=False))) for world, own in worlds}
 
 
 def _pairs(rows, reference):
@@ -164,7 +173,7 @@ def _unequal(ours, theirs, progress):
 
 
 def _flaws(episodes):
-    """Yield lines on strategies with episodes that a limit ended or refused steps, and that are one repeated."""
+    """Yield lines on strategies with episodes that a limit ended, with refused steps or targets, or one repeated."""
     groups = [(f"{world}: {name}", rows) for world, own in _groups(episodes).items() for name, rows in own.items()]
     for who, rows in groups:
         if limited := int(rows["outcome"].isin(LIMITS).sum()):
@@ -174,6 +183,13 @@ def _flaws(episodes):
     for who, rows in groups:
         if _n_different(rows) < len(rows):
             yield f"{who}: all {len(rows)} episodes are the same one, which counts once"
+    for who, rows in groups:
+        for column, what in PLAN_LIMITS.items():
+            if count := int((rows[column] > 0).sum()) if column in rows else 0:
+                yield f"{who}: in {count} of {len(rows)} episodes {what}"
+        if refused := int((rows["outcome"] == "BAD_TARGET").sum()):
+            what = "ended because the strategy chose a target that no path leads to, three times in a row"
+            yield f"{who}: {refused} of {len(rows)} episodes {what}"
 
 
 def warnings_of(episodes: pd.DataFrame, progress: Mapping[tuple[str, str], np.ndarray] | None = None) -> list[str]:

@@ -28,11 +28,6 @@ FURNISHED = (
     "rooms#{}:furniture=1,wide_openings=0.1,max_loops=5,room_m=3.6",
 )
 """Furnished buildings, in numbers like real ones (`jexplore worlds --geometry`); the braces are for a seed."""
-STANDINGS = (
-    *("strategy", "worlds", "paired", "ratio", "ratio_low", "ratio_high", "p", "p_holm"),
-    *("shorter", "shorter_low", "shorter_high", "rank", "rank_low", "rank_high", "best", "complete", "failed"),
-)
-"""Columns of a table of standings, before those of single kinds of worlds."""
 LEAGUE_STRATEGIES = (
     *("closest+recheck", "closest", "closest+recheck+segment", "closest+recheck+segment=auto"),
     *("small-first+recheck", "small-first", "distance-advantage+recheck", "distance-advantage+recheck:weight=0.5"),
@@ -117,7 +112,7 @@ def standings(episodes: pd.DataFrame) -> pd.DataFrame:
             some = logs[[one == kind for one in of_kind]]
             row[f"ratio of {kind}"] = math.exp(some.mean()) if len(some) else math.nan
         rows.append(row)
-    table = pd.DataFrame(rows, columns=list(rows[0]) if rows else list(STANDINGS))
+    table = pd.DataFrame(rows)
     table["p_holm"] = holm(table["p"])
     return table.sort_values(["rank", "ratio"], kind="stable", ignore_index=True)
 

@@ -10,8 +10,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.special import stdtr, stdtrit
 
-from jexplore.config import InputError
-from jexplore.studies.statistics.by_world import DONE, EQUAL_FRACTION
+from jexplore.studies.statistics.by_world import DONE, EQUAL_FRACTION, require_once
 from jexplore.studies.statistics.paired import UPPER, PairedRatio, safe_exp, t_interval
 from jexplore.worlds import GENERATORS
 
@@ -104,10 +103,7 @@ def comparable_paths(episodes: pd.DataFrame, column: str = "path_m") -> pd.DataF
       A DataFrame: a row a start, indexed by `world` and `episode`, worlds in order of first appearance, and a column a
         strategy, in that order as well.
     """
-    twice = episodes.duplicated(["world", "strategy", "episode"])
-    if twice.any():
-        world, strategy, number = episodes.loc[twice.to_numpy(), ["world", "strategy", "episode"]].iloc[0]
-        raise InputError(f"{world}, {strategy}: episode {number} must occur once; choose one setting first")
+    require_once(episodes)
     strategies, order = list(dict.fromkeys(episodes["strategy"])), list(dict.fromkeys(episodes["world"]))
     table: Any = episodes
     explored, outcome, paths = (

@@ -34,8 +34,7 @@ def combined(
     """Combine the values of axes, name -> list of values or a range: a list of `{name: value}`.
 
     Without a range every combination is made, else `draws` settings are drawn, from lists as well, each value alike.
-    `method` is "sobol" (scrambled), "latin" (hypercube) or "random"; `whole` are the axes whose ranges are of whole
-    numbers.
+    `method` is "sobol" (scrambled) or "latin" (hypercube); `whole` are the axes whose ranges are of whole numbers.
     """
     if not any(isinstance(axis, Range) for axis in axes.values()):
         lists: Any = axes.values()
@@ -45,10 +44,8 @@ def combined(
     rng = np.random.default_rng(seed)
     if method == "sobol":
         shares = qmc.Sobol(len(axes), rng=rng).random_base2(max(0, (draws - 1).bit_length()))[:draws]
-    elif method == "latin":
-        shares = qmc.LatinHypercube(len(axes), rng=rng).random(draws)
     else:
-        shares = rng.random((draws, len(axes)))
+        shares = qmc.LatinHypercube(len(axes), rng=rng).random(draws)
 
     def value(name, axis, share):
         if isinstance(axis, list):

@@ -14,13 +14,13 @@ from jexplore.config import InputError, checked_names, require_engine
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.runner import Costs
 from jexplore.exploration.uncertain.measures import MEASURES
-from jexplore.report.ledger import Ledger, Work
+from jexplore.report.ledger import Ledger
 from jexplore.report.store import read_parquet
 from jexplore.report.tables import aligned_table, number_text, ratio_text, spread_text
 from jexplore.studies.results.columns import TEAM_MEASURES
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.tables import ByStrategy
-from jexplore.studies.results.units import join_columns, make_units, rows_of
+from jexplore.studies.results.units import rows_of, run_units, table_of
 from jexplore.studies.statistics.by_world import DONE
 from jexplore.studies.statistics.paired import NO_RATIO, finite_ratio
 from jexplore.studies.sweeps.plan import SweepPlan, in_shard, prepare_sweep
@@ -75,14 +75,10 @@ class SweepResult(ByStrategy):
 
     def to_markdown(self, rows: int | None = None) -> str:
         """Format the summary as a Markdown table, at most `rows` rows and a line with the number of rows left out."""
-        left = 0 if rows is None else max(len(self.summary) - rows, 0)
+        rows = len(self.summary) if rows is None else rows
+        left = max(len(self.summary) - rows, 0)
         more = f"\n... and {left:,} more rows: summary.csv, or jx.load(DIR).summary\n" if left else ""
-        return self.table(rows) + more
-
-    def table(self, rows: int | None = None) -> str:
-        """Format the first rows of the summary as a Markdown table, by default all."""
-        shown = self.summary if rows is None else self.summary.head(rows)
-        return summary_table(shown, self.varied)
+        return summary_table(self.summary.head(rows), self.varied) + more
 
     @property
     def varied(self) -> list[str]:
@@ -154,57 +150,44 @@ def _windows(plan: SweepPlan, numbers: Sequence[int]) -> Iterator[list[int]]:
     """Yield units that are run together: few enough to fit into the memory."""
     window, sites, episodes = [], set(), 0
     for number in numbers:
-        own = {(block.setting, block.world) for block in plan.units[number]}
-        n = plan.size(number)
-        if window and (episodes + n > WINDOW_EPISODES or len(sites | own) > WINDOW_SITES):
+        unit = plan.units[number]
+        own = {block.job // len(plan.strategies) for block in unit.blocks}
+        if window and (episodes + unit.n > WINDOW_EPISODES or len(sites | own) > WINDOW_SITES):
             yield window
             window, sites, episodes = [], set(), 0
         window.append(number)
         sites |= own
-        episodes += n
+        episodes += unit.n
     if window:
         yield window
 
 
-def _unit_table(plan, number, made):
-    """Return the table of a unit, of its jobs and their outcomes; settings by number."""
-    rows = []
-    for block, (job, found) in zip(plan.units[number], made):
-        own = rows_of(job._replace(strategy=plan.strategies[block.strategy]), found)
-        own |= {name: np.full(block.n, np.nan) for name in plan.measures if name not in own}
-        rows.append({"setting": np.full(block.n, block.setting), **own})
-    return join_columns(rows)
+def _block_table(plan, block, job, found):
+    """Return the table of a block, of its job and the outcomes; its setting by number."""
+    rows = {"setting": np.full(block.n, plan.setting_of(block.job)), **rows_of(job, found)}
+    return table_of(rows | {name: np.full(block.n, np.nan) for name in plan.measures if name not in rows})
 
 
 def run_sweep(
-    plan: SweepPlan, *, ledger: Ledger | None = None, shard: tuple[int, int] | None = None,
-    on_progress: Callable[[int], object] | None = None, **how: Any,
-) -> SweepResult:  # fmt: skip
+    plan: SweepPlan, *, ledger: Ledger | None = None, shard: tuple[int, int] | None = None, **how: Any
+) -> SweepResult:
     """Run the units of a sweep that the ledger, which stores them as they are finished, does not have.
 
     With a shard `(i, n)` only every n-th unit, from the i-th on. After Ctrl-C the result holds the units that were
-    finished; `KeyboardInterrupt` if none was. `how` are engine, lanes and workers, as of `batch.run_jobs`.
+    finished; `KeyboardInterrupt` if none was. `how` are engine, lanes, workers and on_progress, as of `run_units`.
     """
     earlier = []
     if ledger is not None and ledger.after:
         table: Any = read_parquet(ledger.folder.parent / "episodes.parquet")
-        earlier, plan = [table[table["episode"] < ledger.after]], plan.after(ledger.after)
+        earlier, plan = [table[table["episode"] < ledger.after]], dataclasses.replace(plan, after=ledger.after)
     numbers = in_shard(len(plan.units), shard)
-    work: Work[pd.DataFrame] = Work(numbers, ledger)
-    resumed = sum(map(len, (*earlier, *work.done.values())))
     use_compilation_cache()
-    costs = make_units(
-        work,
-        lambda number: [plan.job(block, number) for block in plan.units[number]],
-        functools.partial(_unit_table, plan),
-        **{"windows": functools.partial(_windows, plan), "resumed": resumed, "on_progress": on_progress},
-        **{"shared_with": plan.sharing, **how},
-    )
-    if numbers and not work.done:
-        raise KeyboardInterrupt
-    table = whole_table([*earlier, *work.results], plan)
-    missing = sum(map(len, earlier)) + sum(map(plan.size, numbers)) - len(table)
-    return SweepResult(plan.spec, table, tuple(plan.columns), costs, missing, resumed, plan.reference)
+    own = {"windows": functools.partial(_windows, plan), "shared_with": plan.sharing}
+    made = functools.partial(_block_table, plan)
+    ran = run_units(plan.jobs, plan.units, numbers, ledger=ledger, earlier=earlier, to_table=made, **own, **how)
+    table = whole_table(ran.tables, plan)
+    missing = sum(map(len, earlier)) + sum(plan.units[number].n for number in numbers) - len(table)
+    return SweepResult(plan.spec, table, tuple(plan.columns), ran.costs, missing, ran.resumed, plan.reference)
 
 
 def labels_of(settings: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -216,26 +199,26 @@ def labels_of(settings: Sequence[Mapping[str, Any]]) -> list[str]:
 def whole_table(tables: Sequence[pd.DataFrame], plan: SweepPlan) -> pd.DataFrame:
     """Join tables of a sweep: rows by setting, world, strategy and episode, as in the spec, with all settings.
 
-    Settings are truth values, whole numbers, numbers (NaN where missing), or text (empty where missing).
+    Settings are truth values, whole numbers, numbers (NaN where missing), or text (empty where missing), by what they
+    are in the whole sweep.
     """
     table = pd.concat(tables, ignore_index=True)
-    names = [strategy.name for strategy in plan.strategies]
-    parameters = dict(zip(names, plan.parameters))
-    for name, kind in plan.kinds.items():
-        part, _, key = name.partition(".")
-        if part == "strategy":
-            values = [parameters[strategy].get(key) for strategy in table["strategy"]]
-        else:
-            values = [plan.settings[setting][name] for setting in table["setting"]]
-        if kind == "text":
-            table[name] = ["" if value is None else str(value) for value in values]
-        else:
-            table[name] = pd.Series(values).astype(kind)
-    places = [
-        pd.Categorical(table[column], list(given)).codes
-        for column, given in (("strategy", names), ("world", map(os.fspath, plan.spec.worlds)))
-    ]
-    return table.iloc[np.lexsort([table["episode"], *places, table["setting"]])].reset_index(drop=True)
+    strategy, world = (
+        pd.Categorical(table[column], list(given)).codes  # -1 for the strategy of a team, which has another name
+        for column, given in (("strategy", plan.strategies), ("world", map(os.fspath, plan.spec.worlds)))
+    )
+    own = [{f"strategy.{key}": value for key, value in one.items()} for one in plan.parameters]
+    own += [{}] if (strategy < 0).any() else []
+    for rows, places in (([one.values for one in plan.settings], table["setting"]), (own, strategy)):
+        for name in (name for name in plan.columns if any(name in row for row in rows)):
+            table[name] = _column([row.get(name) for row in rows]).iloc[places].array
+    return table.iloc[np.lexsort([table["episode"], strategy, world, table["setting"]])].reset_index(drop=True)
+
+
+def _column(values):
+    """Return values as a column of numbers or truth values if they all are, else of texts."""
+    found = pd.Series(values, dtype=None if any(value is not None for value in values) else np.float64)
+    return found if found.dtype.kind in "biuf" else pd.Series(["" if v is None else str(v) for v in values])
 
 
 @checked_names
@@ -259,6 +242,5 @@ def sweep(
         raise InputError(f"a sweep must be a jx.Sweep, a mapping or a YAML file, got {spec!r}")
     how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
     plan = prepare_sweep(spec)
-    total = sum(map(plan.size, range(len(plan.units))))
-    with progress_bar(progress, total, "episodes", on_progress) as moved:
+    with progress_bar(progress, plan.episodes, "episodes", on_progress) as moved:
         return run_sweep(plan, **how, on_progress=moved)

@@ -4,8 +4,8 @@ import dataclasses
 import itertools
 import math
 import os
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,9 @@ from jexplore.config import (
     require_whole,
     unknown,
 )
+from jexplore.report.store import jsonable
 from jexplore.rules import POSES, Lidar, Odometry, Robot, Rules
+from jexplore.studies.checks import list_of
 from jexplore.studies.metrics import named_metrics
 from jexplore.studies.sweeps.axes import Range, combined
 from jexplore.users import bare, name_of
@@ -27,22 +29,33 @@ from jexplore.worlds.poses import read_start
 
 MAX_SETTINGS = 100_000
 MAX_TOTAL = 100_000_000  # episodes
-DRAW_METHODS = ("random", "sobol")
 RANGE = ("low", "high", "log")
 SETTING_PARTS = {"lidar": Lidar, "rules": Rules, "odometry": Odometry, "robot": Robot}
 TEAM = {"robots": 1, "coordination": "independent", "contact": "all", "team_starts": "together", "members": ""}
 SINGLE = {"seed": 0, "cell_m": 0.1, "pose": "true", **TEAM}
 """Settings that are no part of a record -> their defaults."""
-_FIELDS_OF = {
-    name: {one.name: one for one in dataclasses.fields(kind) if one.name not in (*SINGLE, *SETTING_PARTS)}
-    for name, kind in SETTING_PARTS.items()
+_FIELDS = {
+    f"{part}.{one.name}": one
+    for part, kind in SETTING_PARTS.items()
+    for one in dataclasses.fields(kind)
+    if one.name not in (*SINGLE, *SETTING_PARTS)
 }
-WHOLE_SETTINGS = [
-    "seed",
-    "robots",
-    *(f"{part}.{key}" for part in _FIELDS_OF for key, one in _FIELDS_OF[part].items() if one.type in (int, int | None)),
-]
+DEFAULTS = SINGLE | {name: one.default for name, one in _FIELDS.items()}
+"""Every setting -> its default."""
+WHOLE_SETTINGS = ["seed", "robots", *(name for name, one in _FIELDS.items() if one.type in (int, int | None))]
 """Names of settings that are whole numbers."""
+
+
+class Setting(NamedTuple):
+    """One setting of a sweep."""
+
+    values: dict[str, Any]  # dotted name -> value, as of `Sweep.expanded`
+    seed: int
+    cell_m: float
+    lidar: Lidar
+    rules: Rules
+    robot: Robot
+    team: dict[str, Any]  # arguments of `team_jobs`; empty where no team is asked for
 
 
 @checked_names
@@ -92,40 +105,29 @@ class Sweep:
     product of the rest."""
     draws: int | None = None
     """Number of settings to draw, with ranges; axes of lists are drawn from as well."""
-    draw: str = "sobol"
-    """Method of drawing: "sobol" (scrambled, even) or "random"."""
 
     def __post_init__(self) -> None:
-        for name in ("worlds", "strategies", "settings"):
-            given = getattr(self, name)
-            if isinstance(given, (str, os.PathLike)) or (name == "strategies" and isinstance(given, Mapping)):
-                given = (given,)
-            if isinstance(given, (set, frozenset)):
-                raise InputError(f"{name} must be a list, got a set, which has no order")
-            if not isinstance(given, Iterable) or isinstance(given, Mapping):
-                raise InputError(f"{name} must be a list, got {given!r}")
-            object.__setattr__(self, name, tuple(given))
-            if name != "settings" and not getattr(self, name):
-                raise InputError(f"{name} must name at least one, got none")
+        strategies = (self.strategies,) if isinstance(self.strategies, Mapping) else self.strategies
+        lists = {"worlds": self.worlds, "strategies": strategies, "settings": self.settings}
+        for name, given in lists.items():
+            object.__setattr__(self, name, tuple(list_of(name, given)) if given or name != "settings" else ())
         for world in self.worlds:
             if not isinstance(world, (str, os.PathLike)):
                 raise InputError(f"worlds must be names or files, got {world!r}")
         object.__setattr__(self, "metrics", named_metrics(self.metrics))
         require_whole("episodes", self.episodes, 1, MAX_TOTAL)
         read_start(self.start, self.start_m)
-        if self.draw not in DRAW_METHODS:
-            raise unknown("draw", str(self.draw), DRAW_METHODS)
         if self.draws is not None:
             require_whole("draws", self.draws, 1, MAX_SETTINGS)
-        for name, known in _FIELDS_OF.items():
-            given = getattr(self, name)
+        for name, kind in SETTING_PARTS.items():
+            known, given = [key.partition(".")[2] for key in _FIELDS if key.startswith(f"{name}.")], getattr(self, name)
             if isinstance(given, Rules):
                 self._take_pose(given)
-            if isinstance(given, SETTING_PARTS[name]):
+            if isinstance(given, kind):
                 given = {key: value for key, value in dataclasses.asdict(given).items() if key in known}
                 object.__setattr__(self, name, given)
             if not isinstance(given, Mapping):
-                raise InputError(f"{name} must be a mapping such as {{{next(iter(known))}: ...}}, got {given!r}")
+                raise InputError(f"{name} must be a mapping such as {{{known[0]}: ...}}, got {given!r}")
             for key in given:
                 if key not in known:
                     raise unknown(f"field of {name}", str(key), known)
@@ -133,7 +135,8 @@ class Sweep:
             if not isinstance(one, Mapping) or not one:
                 raise InputError(f"settings must be mappings such as {{lidar.range_m: 4}}, got {one!r}")
             for key, value in one.items():
-                _require_key(key)
+                if key not in DEFAULTS:
+                    raise unknown("setting", str(key), list(DEFAULTS))
                 _require_plain(key, value)
 
     def _take_pose(self, rules: Rules) -> None:
@@ -172,24 +175,16 @@ class Sweep:
         found = []
         seed = 0 if not isinstance(self.seed, int) else require_setting("seed", self.seed)
         for one, some in zip(explicit or [{}], own):
-            for row in combined(some, self.draws or 1, self.draw, seed, WHOLE_SETTINGS):
+            for row in combined(some, self.draws or 1, "sobol", seed, WHOLE_SETTINGS):
                 setting = {**row, **one}
-                found.append({key: setting.get(key, _default(key)) for key in names})
-        if len({tuple(map(_same, setting.values())) for setting in found}) < len(found):
+                found.append({key: setting.get(key, DEFAULTS[key]) for key in names})
+        if len({tuple(setting.values()) for setting in found}) < len(found):
             raise InputError("settings must differ: a value is given twice, or a range of whole numbers is too short")
         return found
 
-    def records(self) -> list[tuple[int, float, Lidar, Rules]]:
-        """Return seed, cell size, scanner and rules of every setting of `expanded`."""
-        found = []
-        for setting in self.expanded():
-            seed = require_setting("seed", setting["seed"])
-            cell_m = require_setting("cell_m", setting["cell_m"])
-            robot_of(setting)
-            unsure = {"pose": setting.get("pose", SINGLE["pose"]), "odometry": Odometry(**_part(setting, "odometry"))}
-            rules = Rules(**_part(setting, "rules"), **unsure)
-            found.append((seed, float(cell_m), Lidar(**_part(setting, "lidar")), rules))
-        return found
+    def records(self) -> list[Setting]:
+        """Return the settings of `expanded`, checked."""
+        return [_setting(values) for values in self.expanded()]
 
     def strategy_list(self) -> list[tuple[str, dict[str, Any]]]:
         """Return the strategies, lists of parameters expanded: a list of `(name, parameters that are settings)`."""
@@ -214,38 +209,19 @@ class Sweep:
         return found
 
 
-def _same(value):
-    """Return a key that is equal for equal values: 3 and 3.0 are, 1 and true are not."""
-    return repr(float(value)) if isinstance(value, (int, float)) and not isinstance(value, bool) else repr(value)
-
-
-def _require_key(key):
-    part, _, name = str(key).partition(".")
-    if key not in SINGLE and name not in _FIELDS_OF.get(part, {}):
-        names = [*SINGLE, *(f"{part}.{name}" for part, fields in _FIELDS_OF.items() for name in fields)]
-        raise unknown("setting", str(key), names)
-
-
-def _default(key):
-    part, _, name = key.partition(".")
-    return SINGLE[key] if not name else _FIELDS_OF[part][name].default
-
-
-def robot_of(setting: Mapping[str, Any]) -> Robot:
-    """Return the robot of a setting of `Sweep.expanded`."""
-    return Robot(**_part(setting, "robot"))
-
-
-def team_of(setting: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments of `team_jobs` in a setting of `Sweep.expanded`; none where no team is asked for."""
-    team = {key: value for key, value in setting.items() if key in TEAM}
+def _setting(values):
+    """Make a `Setting` of one of `Sweep.expanded`; refuse values that its records do."""
+    part = {
+        kind: {key.partition(".")[2]: value for key, value in values.items() if key.startswith(f"{kind}.")}
+        for kind in SETTING_PARTS
+    }
+    seed, cell_m = (require_setting(name, values[name]) for name in ("seed", "cell_m"))
+    robot, odometry = Robot(**part["robot"]), Odometry(**part["odometry"])
+    rules = Rules(**part["rules"], pose=values.get("pose", SINGLE["pose"]), odometry=odometry)
+    team = {key: value for key, value in values.items() if key in TEAM}
     if isinstance(members := team.get("members"), str) and isinstance(n := team.get("robots"), int):
         team["members"] = tuple(members.split()[:n])
-    return team
-
-
-def _part(setting, kind):
-    return {key.partition(".")[2]: value for key, value in setting.items() if key.startswith(f"{kind}.")}
+    return Setting(values, seed, float(cell_m), Lidar(**part["lidar"]), rules, robot, team)
 
 
 def _axis(key, value) -> Any:
@@ -292,62 +268,34 @@ def _text(name, key, value):
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-_FIELDS = [field.name for field in dataclasses.fields(Sweep)]
-
-
 def sweep_from(page: Any, name: str = "the sweep") -> Sweep:
     """Make a `Sweep` of plain values, as a YAML file has them."""
     if not isinstance(page, Mapping):
         raise InputError(f"{name} must be a mapping with worlds: [...], got {type(page).__name__}")
+    known = [field.name for field in dataclasses.fields(Sweep)]
     for key in page:
-        if key not in _FIELDS:
-            raise InputError(f"{name}: {unknown('key', str(key), _FIELDS)}")
+        if key not in known:
+            raise InputError(f"{name}: {unknown('key', str(key), known)}")
     if "worlds" not in page:
         raise InputError(f"{name}: worlds must name at least one: worlds: [cave, office]")
     try:
-        return Sweep(**{key: _plain(value) for key, value in page.items()})
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from None
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, list):
-        return tuple(_plain(one) for one in value)
-    return value
+        return Sweep(**page)
+    except (ValueError, TypeError, AttributeError) as error:
+        raise InputError(f"{name}: {first_line(error)}") from error
 
 
 def read_spec(path: str | os.PathLike[str]) -> Sweep:
     """Read a `Sweep` from a YAML file by `plain_yaml`: YAML 1.2."""
     path = os.path.expanduser(path)
-    page = read_yaml(path)
-    try:
-        return sweep_from(page, os.fspath(path))
-    except InputError:
-        raise
-    except (ValueError, TypeError, AttributeError) as error:
-        raise InputError(f"{os.fspath(path)}: {first_line(error)}") from error
+    return sweep_from(read_yaml(path), os.fspath(path))
 
 
 def plain_spec(spec: Sweep) -> dict[str, Any]:
     """Convert a `Sweep` to plain values, from which `sweep_from` makes it again."""
-
-    def simple(value):
-        if isinstance(value, Range):
-            return {"low": value.low, "high": value.high, **({"log": True} if value.log else {})}
-        if isinstance(value, Mapping):
-            return {str(key): simple(one) for key, one in value.items()}
-        if isinstance(value, np.ndarray):
-            return value.tolist()
-        if isinstance(value, (list, tuple)):
-            return [simple(one) for one in value]
-        if isinstance(value, os.PathLike):
-            return os.fspath(value)
-        if callable(value):
-            function = bare(getattr(value, "function", value))
-            return f"{function.__module__}:{name_of(function)}"
-        return value.item() if isinstance(value, np.generic) else value
-
-    def is_empty(value):
-        return value is None or (isinstance(value, (Mapping, tuple)) and not value)
-
-    return {name: simple(value) for name, value in vars(spec).items() if not is_empty(value)}
+    given: dict[str, Any] = {name: value for name, value in vars(spec).items() if value is not None}
+    given = {name: value for name, value in given.items() if not isinstance(value, (Mapping, tuple)) or value}
+    for name, metric in spec.metrics.items():
+        if not isinstance(metric, str):
+            function = bare(getattr(metric, "function", metric))
+            given["metrics"] = given["metrics"] | {name: f"{function.__module__}:{name_of(function)}"}
+    return jsonable(given)
