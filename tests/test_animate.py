@@ -71,19 +71,6 @@ def test_gif_robot_points_where_it_heads(heading_deg, toward):
     assert tip @ np.array(toward) > 0.95 * np.hypot(*tip) * np.hypot(*toward)
 
 
-def test_gif_frames_may_share_one_buffer(tmp_path):
-    def frames():
-        state = np.zeros((3, 4), np.uint8)
-        for number in range(12):
-            state.flat[number] = 1
-            yield frame(number, state)
-
-    animate.save_animation(frames(), tmp_path / "a.gif", cell_m=0.1)
-    counts = [(picture[:480] == 255).all(axis=-1).sum() for picture, _ in gif_frames(tmp_path / "a.gif")]
-    assert counts == sorted(counts)
-    assert counts[0] < counts[-1] / 5
-
-
 @pytest.mark.parametrize("shape", [(1, 1), (1, 700), (1300, 900)])
 def test_gif_of_any_shape(shape):
     state = np.zeros(shape, np.uint8)

@@ -8,7 +8,6 @@ import pytest
 from ref.results import result
 
 from jexplore import bench
-from jexplore.bench import tables, timing
 from jexplore.cli import main
 from jexplore.engine.runner import Costs
 from jexplore.exploration.batch import Outcomes
@@ -95,21 +94,6 @@ def test_lanes_are_filled_again_and_one_other_bit_is_told(monkeypatch):
     rows = bench.measure_episodes(plan.jobs[0], [("auto", 2), ("jax", 4)], 1)
     assert asked[:2] == [(2, "auto", None), (8, "jax", 4)]
     assert [row["equal"] for row in rows] == [False, False]
-
-
-def test_turns_go_forwards_and_backwards():
-    called = []
-    found = timing.interleaved({name: lambda name=name: called.append(name) or name for name in "ab"}, 3)
-    assert called == ["a", "b", "b", "a", "a", "b"]
-    assert [answer for answer, _ in found["b"]] == ["b"] * 3
-
-
-def test_table():
-    text = tables.markdown(["a", "b", "c", "d"], [[None, True, 0.012345, "x|y"], [1, False, 1234.5, ""]])
-    cells = [line.replace("\\|", "/").strip("|").split("|") for line in text.splitlines()]
-    rows = [[cell.strip() for cell in line] for line in cells[2:]]
-    assert rows == [["–", "yes", "0.0123", "x/y"], ["1", "NO", "1234", ""]]
-    assert text.startswith("| a")
 
 
 @pytest.mark.parametrize(

@@ -11,11 +11,11 @@ from scipy import ndimage
 
 import jexplore as jx
 from jexplore.cli import main
-from jexplore.reach import FAR, STRAIGHT
+from jexplore.reach import FAR
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.bounds import beside, scene, search
 from jexplore.studies.bounds import bound as study
-from jexplore.studies.bounds.floor import Floor, edge_of, walk_cost
+from jexplore.studies.bounds.floor import walk_cost
 from jexplore.studies.bounds.scene import Coverage
 from jexplore.studies.checks import ready_starts
 from jexplore.worlds.world import World
@@ -141,21 +141,6 @@ def test_no_episode_is_shorter_than_the_bound_of_any_robot(kind, floods):
     low = done["episode"].map(table["low_any_m"])
     assert (low <= done["path_m"] + 1e-9).all()
     assert (table["low_any_m"] > 0.3 * table["high_m"]).all()
-
-
-def test_a_corridor_by_hand():
-    """A dead-end corridor of 3 x 30 cells: the cells at its ends must be approached."""
-    occupied = np.ones((5, 32), bool)
-    occupied[1:4, 1:31] = False
-    world = World(occupied=occupied, cell_m=0.1, name="corridor")
-    made = ready(world, (2, 11, 0), rules=Rules(clearance_m=0.1, near_m=0.0))
-    found = search.search(made, search.Budget(None, 2000))
-    # Clear cells are 2..29 of the middle row; the scanner sees cells 1 to 3 ahead.
-    assert made.must_see.sum() == 28 - 7
-    assert found.optimal
-    assert found.high == (2 * 6 + 15) * STRAIGHT
-    edge = edge_of(Floor(made, made.clear, search.Budget(None, 1)), np.arange(4))
-    assert edge.tolist() == [3]
 
 
 def test_a_range_shorter_than_a_cell_or_two():

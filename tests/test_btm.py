@@ -49,28 +49,6 @@ def test_an_empty_map_holds_nothing():
         np.testing.assert_array_equal(value, np.full(value.shape, want), err_msg=name)
 
 
-def test_nodes_are_numbered_in_order_and_keep_their_fields():
-    map_, first = btm.add_node(btm.empty(3, 1), TERMINAL, 1.5, -2.5)
-    map_, second = btm.add_node(map_, OBSTACLE, 3.0, 4.0, obstacle=btm.STAIRS, step_m=0.25, radius_m=1.0)
-    assert (int(first), int(second), int(map_.n_nodes), int(map_.overflow)) == (0, 1, 2, 0)
-    np.testing.assert_array_equal(map_.kind, [TERMINAL, OBSTACLE, NONE])
-    np.testing.assert_array_equal(map_.x_m, [1.5, 3, np.nan])
-    np.testing.assert_array_equal(map_.y_m, [-2.5, 4, np.nan])
-    np.testing.assert_array_equal(map_.obstacle, [NONE, btm.STAIRS, NONE])
-    np.testing.assert_array_equal(map_.step_m, [np.nan, 0.25, np.nan])
-    np.testing.assert_array_equal(map_.radius_m, [0, 1, 0])
-
-
-def test_links_are_unsearched_until_told_otherwise():
-    map_ = grown([(TERMINAL, 0, 0)], [(0, 3 * math.pi / 2), (0, EAST, 0, NORTH, 7.0)], m=3)
-    assert int(map_.n_links) == 2
-    np.testing.assert_array_equal(map_.start, [0, 0, NONE])
-    np.testing.assert_array_equal(map_.end, [NONE, 0, NONE])
-    np.testing.assert_array_equal(map_.status, [btm.UNSEARCHED, SEARCHED, NONE])
-    np.testing.assert_allclose(map_.start_bearing, [SOUTH, EAST, np.nan], atol=1e-6)
-    np.testing.assert_array_equal(map_.length_m, [np.nan, 7, np.nan])
-
-
 def test_what_does_not_fit_is_counted_and_overwrites_nothing():
     full = grown([(TERMINAL, 0, 0), (DIVERGENCE, 1, 1)], [(0, EAST), (1, WEST)], n=2, m=2)
     more, node = btm.add_node(full, FREE_SPACE, 9.0, 9.0, posture_deg=9.0)
@@ -260,29 +238,3 @@ def test_an_end_is_forgotten_where_the_link_is_unsearched():
 
 def test_an_empty_map_becomes_an_empty_record():
     assert record.check_map(btm.to_map(btm.empty(2, 2))) == record.BtmMap((), (), {"overflow": 0})
-
-
-# ---------------------------------------------------------------- laws
-
-
-def all_answers(map_):
-    more, node = btm.add_node(map_, OBSTACLE, 0.5, 0.5, step_m=0.1)
-    more, link = btm.add_link(more, 1, 2.5)
-    return (
-        more, node, link, btm.open_links(map_), btm.first_open(map_, 0, 1.0), btm.hops_to_open(map_),
-        btm.next_hop(map_, 1), btm.nearest_node(map_, 0.3, 0.7, DIVERGENCE),
-    )  # fmt: skip
-
-
-@pytest.mark.jit
-def test_rows_of_a_batch_are_independent_and_jit_changes_nothing():
-    maps, answers = [random_map(seed) for seed in (1, 2, 5)], jax.jit(all_answers)
-    batch = jax.jit(jax.vmap(all_answers))(jax.tree.map(lambda *a: jnp.stack(a), *maps))
-
-    def close(many, one):
-        np.testing.assert_allclose(many, one, rtol=1e-6, atol=1e-6)
-
-    for i, map_ in enumerate(maps):
-        jax.tree.map(lambda many, one, i=i: close(many[i], one), batch, answers(map_))
-    with jax.disable_jit():
-        jax.tree.map(close, all_answers(maps[0]), answers(maps[0]))

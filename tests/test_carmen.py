@@ -207,33 +207,6 @@ def test_bad_logs_are_refused_by_file_and_line(tmp_path, lines, said):
 # --- the map
 
 
-def test_a_scan_by_pencil():
-    """Cells of 1 m; right and left one and two cells, ahead nothing."""
-    log = log_of([[1.2, 90, 2]], [(0.5, 2.5, 0)], np.radians([-90, 0, 90]))
-    made = fold_scans(log, cell_m=1)
-    assert made.origin_m == (-1, 0)
-    assert made.start == (2, 1, 0)
-    hits, misses = counts(made)
-    assert hits == [[0, 0, 0], [0, 1, 0], [0, 0, 0], [0, 0, 0], [0, 1, 0], [0, 0, 0]]
-    assert misses == [[0, 0, 0], [0, 0, 0], [0, 1, 0], [0, 1, 0], [0, 0, 0], [0, 0, 0]]
-    # What has no echo is believed to be free for as long as one says, within the map.
-    assert counts(fold_scans(log, cell_m=1, no_echo_m=0.5)) == (hits, misses)
-    misses[2][2] = 1
-    assert counts(fold_scans(log, cell_m=1, no_echo_m=0.51)) == (hits, misses)
-    assert counts(fold_scans(log, cell_m=1, no_echo_m=20)) == (hits, misses)
-
-
-def test_an_echo_from_beyond_the_range_is_free_up_to_there():
-    """Ahead 4.5 m, behind 2.4 m, which alone says how far the map goes."""
-    log = log_of([[4.5, 2.4]], angles_rad=[0, math.pi])
-    hits, misses = counts(fold_scans(log, cell_m=1, range_m=3))
-    assert (hits[1], misses[1]) == ([0, 1, 0, 0, 0], [0, 0, 1, 1, 1])
-    # The cells ahead are entered at 0.5, 1.5, 2.5 and 3.5 m: 4.4 m end in the last of them, below 4.5 all are missed.
-    log = log_of([[4.5], [4.4]], [(0.5, 0.5, 0)] * 2)
-    hits, misses = counts(fold_scans(log, cell_m=1, range_m=4.5))
-    assert (hits[1], misses[1]) == ([0, 0, 0, 0, 0, 1, 0], [0, 2, 2, 2, 2, 1, 0])
-
-
 def cells_of(x, y, angle, length):
     """The cells that a beam passes, in order, from the crossings' exact order: a plain loop over sorted crossings."""
     x, y, dx, dy = (Fraction(float(v)) for v in (x, y, math.cos(angle), math.sin(angle)))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ref import clock as oracle
-from ref import episodes, maps
+from ref import episodes
 from ref.refusals import refused
 from ref.results import result
 
@@ -19,8 +19,6 @@ from jexplore.rules import Lidar, Robot, Rules
 # A metre a second after one metre, and a quarter turn a second after half of one.
 PLAIN = Robot(speed_m_s=1.0, acceleration_m_s2=0.5, turn_rad_s=math.pi / 2, turn_acceleration_rad_s2=math.pi / 2)
 SLOW = PLAIN.replace(scan_s=0.5, plan_s=2.0, standby_w=10, drive_j_m=3, turn_j_rad=2, mass_kg=8)
-CROSS = Lidar(n_beams=4, fov_deg=360, range_m=2.0)  # ahead, back, left, right, 2 cells far
-ONE_CELL = Rules(clearance_m=0.0, near_m=0.0)
 
 
 def entries(robot, cell_m=1.0, longest=4):
@@ -44,10 +42,6 @@ def test_a_table_by_hand():
     assert diagonal[1].tolist() == [2414, 3364, 707]
 
 
-def test_a_table_does_not_depend_on_its_length():
-    np.testing.assert_array_equal(entries(PLAIN, 0.1, 50)[:11], entries(PLAIN, 0.1, 10))
-
-
 @settings(max_examples=50, deadline=None)
 @given(speed=st.floats(0.01, 10), acceleration=st.floats(0.01, 10), cell_m=st.floats(0.01, 2))
 def test_a_table_is_the_oracles(speed, acceleration, cell_m):
@@ -69,57 +63,6 @@ def test_a_clock_stands_still_rather_than_overflow():
     table = clock_table(Robot(speed_m_s=0.001, acceleration_m_s2=0.001), 100.0, 1000)
     assert table.min() >= 0
     assert 5 * int(table.max()) + MOST_MS < 2**31
-
-
-CORRIDOR = maps.walls("""
-    #######
-    #.....#
-    #######
-""")
-BEND = maps.walls("""
-    #####
-    #...#
-    #.#.#
-    #.#.#
-    #####
-""")
-
-
-def played(occupied, start, robot, rules):
-    how = {"cell_m": 1.0, "robot": robot}
-    found, state = episodes.play(occupied, start, "closest", CROSS, rules, **how, shape=(5, 7))  # one program
-    want = episodes.replay(occupied, start, "closest", CROSS, rules, cell_m=1.0)
-    episodes.assert_equal_episodes(found, state, want, **how)
-    return found, want
-
-
-STRAIGHT_ON = Rules(clearance_m=0.0, near_m=1.0, look_around=False)
-
-
-@pytest.mark.jit
-def test_a_corridor_by_hand():
-    """Four steps and six plans: one run of 4 m where plans take no time, else four of 1 m, and 2 s for every plan."""
-    quick, want = played(CORRIDOR, (1, 1, 0), PLAIN, STRAIGHT_ON)
-    assert [kind for kind, *_ in want.events] == ["plan", *["plan", "step"] * 4, "plan"]
-    assert (int(quick.time_ms), int(quick.starts)) == (6000, 1000)
-    assert quick.time_at.tolist()[-1] in (0, 2000, 3000, 4000, 5000)  # before it brakes
-    slow, _ = played(CORRIDOR, (1, 1, 0), SLOW, STRAIGHT_ON)
-    assert (int(slow.time_ms), int(slow.starts)) == (4 * 2828 + 6 * 2000, 4 * 500)
-
-
-@pytest.mark.jit
-def test_a_bend_by_hand():
-    """Three runs of 2 m, and two quarter turns in place between."""
-    found, _ = played(BEND, (1, 1, 90), PLAIN, STRAIGHT_ON)
-    assert (int(found.turns), int(found.time_ms), int(found.starts)) == (4, 3 * 4000 + 2 * 2000, 3000)
-
-
-@pytest.mark.jit
-def test_looks_by_hand():
-    """Four steps of a run each, 19 quarter turns, and 15 scans in place."""
-    found, want = played(CORRIDOR, (1, 1, 0), SLOW.replace(plan_s=0), ONE_CELL)
-    assert want.events.count(("scan",)) == 15
-    assert (int(found.turns), int(found.time_ms)) == (2 * 19, 4 * 2828 + 19 * 2000 + 15 * 500)
 
 
 @pytest.mark.slow

@@ -14,7 +14,6 @@ from jexplore.tracemap.rooted import topology_from
 from jexplore.tracemap.similarity import code
 from jexplore.worlds import load_world
 from jexplore.worlds.generators.course import course
-from jexplore.worlds.generators.course_map import largest_circle
 from jexplore.worlds.starts import check_start, clear_of_walls
 from jexplore.worlds.world import with_ring
 
@@ -123,17 +122,6 @@ def test_the_course_of_the_paper_has_its_links(courses):
     assert [link.opening_m for link in links] == [2.0] * 10
 
 
-def test_the_course_of_the_paper_has_its_walls(courses):
-    world = courses[0]
-    assert world.shape == (360, 244)
-    expected = np.ones(world.shape, bool)
-    expected[260:280, 10:164] = False  # from the start to the first junction
-    expected[10:350, 164:184] = False  # the long passage from north to south
-    expected[150:210, 184:234] = False  # the hall, to the left of the robot
-    expected[80:100, 44:164] = False  # the way to the goal and on
-    np.testing.assert_array_equal(world.occupied, expected)
-
-
 def test_the_slope_of_the_paper_has_10_degrees(courses):
     world = courses[0]
     rise = math.tan(math.radians(10)) * world.cell_m
@@ -190,20 +178,6 @@ def test_without_the_slope_the_layout_is_the_same(courses):
         level = course(seed, obstacle="none")
         np.testing.assert_array_equal(level.occupied, courses[seed].occupied)
         assert types(level) == types(courses[seed]).replace("O", "")
-
-
-def test_circles_by_pencil():
-    square, wide = (0.0, 0.0, 2.0, 2.0), (0.0, 0.0, 2.0, 1.4)
-    assert largest_circle(square, {1, 2, 3}) == pytest.approx((0.75, 1.0, 1.25))  # T, far wall in the east
-    assert largest_circle(square, {0, 2, 3}) == pytest.approx((1.0, 0.75, 1.25))  # T, far wall in the north
-    x, y, radius = largest_circle(square, {2, 3})  # corner, outer walls in the east and the north
-    assert (2 - x, 2 - y, radius) == pytest.approx([2 * (2 - 2**0.5)] * 3)
-    assert largest_circle(square, {3}) == pytest.approx((1.0, 1.0, 1.0))
-    assert largest_circle(wide, {0}) == pytest.approx((0.7, 0.7, 0.7))
-    assert largest_circle(wide, {0, 1, 2, 3}) == pytest.approx((1.0, 0.7, math.hypot(1.0, 0.7)))
-    x, y, radius = largest_circle(wide, {0, 1, 2})  # far wall in the south, corners (0, 1.4) and (2, 1.4)
-    assert (x, y) == pytest.approx((1.0, radius))
-    assert math.hypot(1.0, 1.4 - y) == pytest.approx(radius)
 
 
 # Laws
@@ -354,69 +328,6 @@ def test_widths_and_angles_vary_within_their_bounds(courses):
     assert min(angles) >= 6
     assert max(angles) <= 15
     assert len(angles) > 5
-
-
-# Ways round and equal junctions, by pencil
-
-
-def test_one_ring_has_its_walls():
-    world = load_world("course:loops=1")
-    expected = np.ones((200, 328), bool)
-    expected[90:110, 10:218] = False  # the way in: 4 + 6 + 4.8 + 6 m
-    expected[10:190, 218:238] = False  # the ring: 2 m wide, 6 m to either side of the junction
-    expected[10:190, 298:318] = False
-    expected[10:30, 218:318] = False
-    expected[170:190, 218:318] = False
-    np.testing.assert_array_equal(world.occupied, expected)
-
-
-def test_one_ring_has_its_nodes_and_links():
-    world = load_world("course:loops=1")
-    off, eighth = 2 - 2**0.5, 2 / 8
-    expected = [
-        (5, 10), (11.05, 10), (13.45, 10), (15.85, 10), (22.8 - eighth, 10),
-        (21.8 + 2 * off, 1 + 2 * off), (31.8 - 2 * off, 1 + 2 * off),
-        (31.8 - 2 * off, 19 - 2 * off), (21.8 + 2 * off, 19 - 2 * off), (2, 10),
-    ]  # fmt: skip
-    number = {  # of a node of the topology -> in the order expected
-        node.id: int(np.hypot(*(np.array(expected) - (node.x_m, node.y_m)).T).argmin())
-        for node in world.course.topology.nodes
-    }
-    found = [expected[number[node.id]] for node in world.course.topology.nodes]
-    np.testing.assert_allclose([(node.x_m, node.y_m) for node in world.course.topology.nodes], found, atol=1e-9)
-    assert {number[node.id]: LETTERS[node.type] for node in world.course.topology.nodes} == dict(
-        enumerate("TOOODDDDDD")
-    )
-    links = world.course.topology.links
-    ends = {(i, i + 1): (bearing, (bearing + 180) % 360) for i, bearing in enumerate([0, 0, 0, 0, 270, 0, 90, 180])}
-    ends |= {(8, 4): (270, 90), (0, 9): (180, 0)}
-    sides = [8 - (2 * off - 1), 10 - 4 * off, 18 - 4 * off, 10 - 4 * off, 8 - (2 * off - 1)]
-    lengths = dict(zip(ends, [6.05, 2.4, 2.4, 6.7, *sides, 3]))
-    for link in links:
-        pair = number[link.start], number[link.end]
-        is_back = pair not in ends
-        bearings = link.start_bearing_deg, link.end_bearing_deg
-        key = pair[::-1] if is_back else pair
-        assert (bearings[::-1] if is_back else bearings) == ends.pop(key)
-        assert link.length_m == pytest.approx(lengths[key], abs=1e-8)
-    assert not ends
-    assert {(link.status, link.min_width_m, link.opening_m) for link in links} == {("searched", 2.0, 2.0)}
-    assert world.course.goal_m is None
-    assert world.course.start_pose == (5, 10, 0)
-
-
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("course:loops=1,obstacle=none", "T(D(D(D(D(D(=1)))),=1),D)"),
-        ("course:loops=2,obstacle=none", "T(D(D(D(D(D(D(D(=1),=2))),=2)),=1),D)"),
-        ("course:repeat=2,obstacle=none", "T(D(D,D(D,D)),D)"),
-        ("course:repeat=3,obstacle=sill", "T(O:stairs(D(D,D(D,D(D,D)))),D)"),
-        ("course:loops=1,repeat=2,obstacle=none", "T(D(D(D(D,D(D,D(D(D(=1)))))),=1),D)"),
-    ],
-)
-def test_codes_by_pencil(name, expected):
-    assert code(load_world(name).course.topology) == expected
 
 
 # And their laws

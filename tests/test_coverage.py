@@ -1,4 +1,4 @@
-"""Ratios at equal coverage: by hand in one world and over many, tables, curves over all worlds."""
+"""Ratios at equal coverage, in one world and over many."""
 
 import math
 
@@ -6,8 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from jexplore.studies.statistics import figures
-from jexplore.studies.statistics.coverage import MEASURES, TITLES, at_coverage, coverage_tables, coverage_text
+from jexplore.studies.statistics.coverage import MEASURES, at_coverage
 from jexplore.studies.statistics.league import standings
 from jexplore.studies.statistics.over_worlds import ALL_WORLDS
 from jexplore.studies.statistics.paired import paired_ratio
@@ -70,29 +69,3 @@ def test_failed_episodes_are_left_out():
     assert row(at_coverage(table), "90 %", world="cave#0").n == 3
     table.loc[table["strategy"] == "near", ["outcome", "explored_fraction"]] = ["STEP_LIMIT", 0.2]
     assert math.isnan(row(at_coverage(table), "90 %", world="cave#0").ratio)
-
-
-def test_tables_as_text():
-    one, many = (at_coverage(episodes([f"cave#{k}" for k in range(n)])) for n in (1, 6))
-    for table, keys in ((one, ["world", "strategy"]), (many, ["strategy"])):
-        tables = coverage_tables(table)
-        assert list(tables) == list(TITLES.values())
-        for text in tables.values():
-            head, _, *lines = ([cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines())
-            assert head[: len(keys) + 6] == [*keys, *SHARES]
-            assert [line[len(keys) - 1] for line in lines] == ["far", "near"]
-            assert lines[0][len(keys)] == "1.000"
-        assert all(text in coverage_text(table) for text in tables.values())
-
-
-def test_curves_over_all_worlds():
-    table = episodes(["cave#0", "cave#1"])
-    progress = {
-        pair: np.linspace(0, 1, 100)[None] * rows["path_m"].to_numpy()[:, None]
-        for pair, rows in table.groupby(["world", "strategy"], sort=False)
-    }
-    figure = figures.league_coverage_figure(table, progress, standings(table))
-    (ax,) = figure.axes
-    assert "2 worlds" in ax.get_title()
-    (far,) = [line for line in ax.lines if line.get_xdata()[-1] == pytest.approx(1)]
-    assert far.get_ydata()[-1] == 100

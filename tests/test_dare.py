@@ -66,12 +66,6 @@ def test_a_frontier_cell_has_two_to_seven_unknown_neighbours():
     assert rules.frontier_cells(belief).tolist() == [[1, 0], [1, 1]]  # cells (0, 2) and (1, 2) have one
 
 
-def test_a_square_keeps_the_cell_nearest_to_its_corner():
-    cells = np.array([[2, 1], [1, 1], [4, 0], [7, 3], [-1, -1]])
-    kept = rules.thinned(cells, np.array([0, 0]))
-    assert sorted(map(tuple, kept.tolist())) == [(1, 1), (4, 0)]  # (-1, -1) lies in square 0 as well, as far from it
-
-
 def test_nodes_lie_four_metres_apart_and_are_linked_in_sight():
     explorer = rules.explorer(HALL, (6, 5))
     assert explorer.places == [(0, i) for i in range(6)]  # 50 cells are seen from column 5 on
@@ -90,56 +84,6 @@ def test_every_planner_explores_a_hall(name):
         explorer.move(node)
     assert (explorer.belief[explorer.truth] == rules.FREE).all()
     assert explorer.path_m <= 36.0
-
-
-def made(gains, places):
-    """An explorer at the first of nodes in a row, all linked one by one, that count `gains` frontier cells."""
-    explorer = rules.explorer(HALL, (6, 5))
-    explorer.places = places
-    explorer.seen = [set(range(100 * i, 100 * i + gain)) for i, gain in enumerate(gains)]
-    explorer.links = [{i - 1, i + 1} & set(range(len(gains))) for i in range(len(gains))]
-    return explorer
-
-
-def test_nearest_goes_by_distance_and_utility_by_gain_too():
-    line = made([0, 3, 0, 200], [(0, 1), (0, 0), (0, 2), (0, 3)])
-    line.links = [{1, 2}, {0}, {0, 3}, {2}]  # 4 m to 3 frontier cells, 8 m the other way to 200
-    assert planners.nearest(line, np.random.default_rng(0)) == 1
-    assert planners.utility(line, np.random.default_rng(0)) == 2
-    assert planners.utility(line, np.random.default_rng(0), per_m=2.0) == 1  # ln(200 / 3) / 4 m is 1.05
-
-
-def test_where_nothing_is_left_that_can_be_reached_planners_give_none():
-    explorer = made([0, 5], [(0, 0), (0, 1)])
-    explorer.links = [set(), set()]
-    for plan in (planners.nearest, planners.utility, planners.tare_local()):
-        assert plan(explorer, np.random.default_rng(0)) is None
-
-
-def test_a_short_path_crosses_itself_nowhere():
-    points = np.array([[0, 0], [3, 0], [1, 0], [2, 0], [4, 0]])
-    length = np.hypot(*(points[:, None] - points).transpose(2, 0, 1))
-    assert planners.inserted(length, [0]) == [0, 2, 3, 1, 4]
-    assert planners.shortened(length, [0, 1, 3, 2, 4]) == [0, 2, 3, 1, 4]
-    assert planners.shortened(length, [0, 4, 2, 3, 1]) == [0, 2, 3, 1, 4]
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        points = rng.random((12, 2))
-        length = np.hypot(*(points[:, None] - points).transpose(2, 0, 1))
-        path = planners.shortened(length, list(range(12)))
-        assert path[0] == 0
-        assert sorted(path) == list(range(12))
-        assert length[path[:-1], path[1:]].sum() <= length[range(11), range(1, 12)].sum()
-
-
-def test_view_points_show_everything_and_those_kept_come_first():
-    shows = np.array([[1, 1, 0, 0, 0], [0, 1, 1, 1, 0], [0, 0, 0, 1, 1]], bool)
-    assert planners.view_points(shows, np.random.default_rng(0), [1])[0] == 1
-    # node 1 shows cells 1 to 3; then nodes 0 and 2 show one each, fewer than count
-    assert planners.view_points(shows, np.random.default_rng(0), [1]) == [1]
-    for seed in range(5):
-        taken = planners.view_points(shows, np.random.default_rng(seed), [])
-        assert set(taken) in ({0, 1}, {0, 2}, {1}, {1, 2})
 
 
 def test_the_table_sets_ours_beside_the_papers():

@@ -208,46 +208,47 @@ def test_a_strategy_of_ones_own_gives_its_scores_or_is_told_that_no_path_leads_t
 
 def test_the_ros_node_answers_messages_with_goals(monkeypatch):
     """With the messages' types of rosbags in the place of those of ROS, which pip cannot install."""
-    typesys = pytest.importorskip("rosbags.typesys")
-    types_of = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE).types
-    kinds = {name.split("/")[-1]: kind for name, kind in types_of.items()}
+    bags = pytest.importorskip("ref.bags")
     goals, subscribed = [], {}
     node = types.SimpleNamespace(
         create_publisher=lambda kind, topic, depth: types.SimpleNamespace(publish=goals.append),
         create_subscription=lambda kind, topic, callback, depth: subscribed.update({topic: (kind, callback)}),
     )
 
-    def header():
-        return kinds["Header"](types_of["builtin_interfaces/msg/Time"](0, 0), "map")
-
     def pose(x, y, turn=0.0):
-        place = types_of["geometry_msgs/msg/Pose"](
-            types_of["geometry_msgs/msg/Point"](x, y, 0.0),
-            types_of["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(turn / 2), math.cos(turn / 2)),
+        told = {"position__x": x, "position__y": y, "orientation__z": math.sin(turn / 2)}
+        told = {f"pose__{name}": value for name, value in told.items()}
+        w = math.cos(turn / 2)
+        return bags.make(
+            bags.ROS2, "geometry_msgs/msg/PoseStamped", header__frame_id="map", pose__orientation__w=w, **told
         )
-        return place if x == y == 0 else types_of["geometry_msgs/msg/PoseStamped"](header(), place)
+
+    def grid(cells):
+        height, width = cells.shape
+        told = {
+            "info__resolution": 1.0,
+            "info__width": width,
+            "info__height": height,
+            "info__origin__orientation__w": 1.0,
+        }
+        return bags.make(bags.ROS2, "nav_msgs/msg/OccupancyGrid", header__frame_id="map", data=cells.ravel(), **told)
 
     cells, x, y = grid_of(DRAWN)
 
     def spin(_):
-        info = types_of["nav_msgs/msg/MapMetaData"](
-            types_of["builtin_interfaces/msg/Time"](0, 0), 1.0, *cells.shape[::-1], pose(0.0, 0.0)
-        )
-        grid = types_of["nav_msgs/msg/OccupancyGrid"](header(), info, cells.ravel())
         (_, on_pose), (_, on_map) = subscribed["pose"], subscribed["map"]
-        on_map(grid)  # before the first pose
+        on_map(grid(cells))  # before the first pose
         on_pose(pose(x, y))
-        on_map(grid)
+        on_map(grid(cells))
         on_pose(pose(4.45, 2.55, 0.03))  # there, nearly, and the map is the same: it is exhausted
-        on_map(grid)
-        closed = np.pad(np.zeros_like(cells[1:-1, 1:-1]), 1, constant_values=100).ravel()
+        on_map(grid(cells))
+        closed = np.pad(np.zeros_like(cells[1:-1, 1:-1]), 1, constant_values=100)
         for _ in range(2):  # nothing is left to explore, and nothing later either
-            on_map(types_of["nav_msgs/msg/OccupancyGrid"](header(), info, closed))
+            on_map(grid(closed))
 
     rclpy = types.SimpleNamespace(init=lambda: None, create_node=lambda name: node, spin=spin)
-    messages = types.SimpleNamespace(
-        PoseStamped=types_of["geometry_msgs/msg/PoseStamped"], OccupancyGrid=types_of["nav_msgs/msg/OccupancyGrid"]
-    )
+    kinds = {name.split("/")[-1]: kind for name, kind in bags.ROS2.types.items()}
+    messages = types.SimpleNamespace(PoseStamped=kinds["PoseStamped"], OccupancyGrid=kinds["OccupancyGrid"])
     for name, module in {"rclpy": rclpy, "geometry_msgs.msg": messages, "nav_msgs.msg": messages}.items():
         monkeypatch.setitem(sys.modules, name, module)
     module = runpy.run_path(str(Path(__file__).resolve().parents[1] / "examples" / "ros2_node.py"))

@@ -1,4 +1,4 @@
-"""Delaunay triangles: pencil sets, parity with scipy on random scans, circles by hand, laws."""
+"""Delaunay triangles: parity with scipy on random scans, points on one line or on one circle, laws."""
 
 import math
 
@@ -13,7 +13,6 @@ pytestmark = pytest.mark.jit
 
 N = 48
 one = jax.jit(delaunay)
-circles = jax.jit(circumcircles)
 
 
 def triangles(points, valid=None):
@@ -47,23 +46,16 @@ SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]]
 
 
 @pytest.mark.parametrize(
-    ("points", "want"),
+    "points",
     [
-        ([[0, 0], [1, 0], [0, 1]], [(0, 1, 2)]),
-        ([[0, 0], [0, 1], [1, 0]], [(0, 1, 2)]),
-        ([[0, 0], [1, -0.5], [2, 0], [1, 0.5]], [(0, 1, 3), (1, 2, 3)]),  # the shorter diagonal of a kite
-        ([[0, 0], [1, -2], [2, 0], [1, 2]], [(0, 1, 2), (0, 2, 3)]),
-        ([[0, 0], [3, 0], [0, 3], [1, 1]], [(0, 1, 3), (0, 2, 3), (1, 2, 3)]),
-        ([*SQUARE, [0.5, 0.5]], [(0, 1, 4), (0, 3, 4), (1, 2, 4), (2, 3, 4)]),
-        ([[4, 0], [0, 0], [3, 0], [1, 0], [2, 0]], []),
-        ([[8, -4], [0, 0], [6, -3], [2, -1], [4, -2]], []),
-        (np.zeros((0, 2)), []),
-        ([[0, 0], [1, 0]], []),
+        [[4, 0], [0, 0], [3, 0], [1, 0], [2, 0]],
+        [[8, -4], [0, 0], [6, -3], [2, -1], [4, -2]],
+        np.zeros((0, 2)),
+        [[0, 0], [1, 0]],
     ],
 )
-def test_triangles_by_hand(points, want):
-    assert triangles(points) == want
-    assert triangles(points, np.arange(len(points)) < 2) == []
+def test_points_on_one_line_and_fewer_than_three_make_no_triangle(points):
+    assert triangles(points) == []
 
 
 def test_of_four_points_on_one_circle_every_triangle_may_be_valid():
@@ -144,16 +136,6 @@ def test_triangles_are_scipys(kind):
     assert unlike <= 0.002 * total
 
 
-def test_rows_of_a_batch_are_independent():
-    rng = np.random.default_rng(5)
-    points = np.stack([clouds(rng), passage(rng), clusters(rng)]).astype(np.float32)
-    valid = rng.random((3, N)) < 0.9
-    many = jax.jit(jax.vmap(delaunay))(points, valid)
-    for i in range(3):
-        alone = one(points[i], valid[i])
-        np.testing.assert_array_equal(alone.corner[alone.valid], many.corner[i][many.valid[i]])
-
-
 def test_circles_by_hand():
     points = np.array([[0, 0], [4, 0], [0, 3], [1, 1], [-1, 1], [2, 0]], np.float32)
     corner = np.array([[0, 1, 2], [1, 2, 0], [0, 3, 4], [3, 4, 0]], np.int32)
@@ -169,14 +151,3 @@ def test_a_flat_triangle_has_a_radius_of_inf():
     np.testing.assert_array_equal(radius, [np.inf] * 3)
     assert np.isfinite(centre).all()
     np.testing.assert_array_equal(side2, [[9, 1, 16], [0, 29, 29], [0, 0, 0]])
-
-
-def test_circles_pass_through_all_three_corners():
-    rng = np.random.default_rng(6)
-    points = clouds(rng).astype(np.float32)
-    corner = np.array([rng.choice(N, 3, replace=False) for _ in range(200)], np.int32)
-    centre, radius, _ = (np.asarray(v, np.float64) for v in circles(points, corner))
-    fat = np.array([not thin(points, t) for t in corner]) & (radius < 20)
-    away = np.hypot(*np.moveaxis(points[corner] - centre[:, None], -1, 0))
-    np.testing.assert_allclose(away[fat], np.repeat(radius[fat, None], 3, 1), rtol=1e-3)
-    assert fat.sum() > 150

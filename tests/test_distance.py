@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from ref import maps, plans
+from ref import plans
 from scipy import ndimage
 
 from jexplore.distance import FAR, nearest_offset, within
@@ -27,19 +27,6 @@ def nearest_site(sites):
 def masks(share=None):
     cells = st.booleans() if share is None else st.floats(0, 1).map(lambda u: u < share)
     return st.sampled_from(SHAPES).flatmap(lambda shape: hnp.arrays(bool, shape, elements=cells, fill=st.nothing()))
-
-
-def test_two_sites_by_hand():
-    sites = maps.walls("""
-        ....#
-        .....
-        #....
-    """)
-    d2, site = nearest_site(jnp.asarray(sites))
-    assert d2.dtype == site.dtype == jnp.int32
-    np.testing.assert_array_equal(d2[::-1], [[4, 5, 4, 1, 0], [1, 2, 5, 2, 1], [0, 1, 4, 5, 4]])
-    # (row 1, col 2) is equally far from both: the lower column wins
-    np.testing.assert_array_equal(site[::-1], [[0, 0, 14, 14, 14], [0, 0, 0, 14, 14], [0, 0, 0, 14, 14]])
 
 
 @pytest.mark.jit

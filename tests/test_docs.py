@@ -9,7 +9,6 @@ import shutil
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 import yaml
 
@@ -186,18 +185,6 @@ def test_what_a_page_shows_runs(page, desk, capsys):
     assert "jx" in found or not python_in(page)
 
 
-def test_lines_that_are_not_run_are_there():
-    lines = [
-        re.sub(r" +# .*", "", " ".join(line.split()))
-        for page in PAGES
-        for language, body in blocks(text_of(page))
-        if language == "sh"
-        for line in body.splitlines()
-    ]
-    for beginning in (*NO_COMMANDS_OF_OURS, *PARSED_ONLY):
-        assert any(beginning in line for line in lines), beginning
-
-
 @pytest.mark.slow
 @pytest.mark.jit
 def test_the_tutorial_from_an_empty_folder_to_a_figure(desk, capsys):
@@ -218,17 +205,6 @@ def test_the_tutorial_from_an_empty_folder_to_a_figure(desk, capsys):
     assert (desk / "own_figure.png").stat().st_size > 5000
     assert jx.load("answer").to_pandas()["strategy"].unique().tolist() == ["closest+recheck", "mine:outward+recheck"]
     assert {"sweep.png", "report.html"} <= {file.name for file in (desk / "answer").iterdir()}
-
-
-@pytest.mark.slow
-@pytest.mark.jit
-def test_steps_are_those_of_the_strategy_that_they_say(desk, capsys):
-    found = run_blocks("docs/how-to/steps.md", desk)
-    (said,) = re.findall(r"^(\S+) COMPLETE$", capsys.readouterr().out, re.M)
-    start = np.asarray(found["state"].episode.belief.start) * [1, 1, 45]
-    episode = jx.explore(found["env"].worlds[0], "closest", start=tuple(start.tolist()))
-    assert float(said) == pytest.approx(episode.measures["path_m"], rel=1e-5)
-    assert found["many"][0].world.shape == (256,)
 
 
 def test_excerpts_name_what_there_is():
@@ -369,16 +345,6 @@ def test_every_picture_is_drawn_by_the_script_and_shown():
     shown = {name for page in PAGES for name in re.findall(r"\]\([./\w]*images/([\w./-]+)\)", text_of(page))}
     assert there == drawn == shown
     assert sum((images / name).stat().st_size for name in there) < 1_500_000  # the repository carries them
-
-
-@pytest.mark.parametrize("name", [name for name, drawn in script("pictures").DRAWN.items() if drawn.command])
-def test_what_draws_a_picture_is_told(name):
-    """Next to the picture, as one would type it."""
-    command = script("pictures").DRAWN[name].command.removesuffix(" --out drawn")
-    told = [" ".join(text_of(page).replace("\\\n", " ").split()) for page in PAGES]
-    assert any(command in text for text in told), command
-    if command.startswith("jexplore "):
-        parse_options(shlex.split(command)[1:], COMMANDS)
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Effects of drift on maps: true positions of nodes, summaries, pictures; and the bytes of maps."""
+"""Effects of drift on maps: true positions of nodes, summaries, and the bytes of maps."""
 
 import dataclasses
 import math
@@ -6,9 +6,8 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
-from parts.drift import figure as plots
 from parts.drift.odometry_map import odometry_map
-from parts.drift.storage import packed_map, storage
+from parts.drift.storage import packed_map
 from parts.drift.study import drift, placed_truly, summarised
 from ref.refusals import refused
 
@@ -16,7 +15,6 @@ import jexplore as jx
 from jexplore.driving.batch import Driven
 from jexplore.driving.settings import Noise
 from jexplore.tracemap.record import BtmMap, Link, Node
-from jexplore.worlds.world import World
 
 NODES = (
     Node(0, 1.0, 0.0, "terminal"),
@@ -83,21 +81,6 @@ def test_what_is_summed_up():
     assert found["node_error_m_high"][1] == pytest.approx(2.0)
 
 
-def test_the_figure():
-    cells = np.array([[1.0, 1.0], [1.1, 1.0]])
-    pictures = plots.Pictures("slip 0.3", np.array([[0.0, -1.0, 5.0, -1.0]]), cells, 0.1, MAP, MAP)
-    page = plots.drift_figure(summarised(table(), AXES, Noise()), pictures)
-    page.draw_without_rendering()
-    assert len(page.axes) == 3 * 2 + 2
-    line = page.axes[2].lines[0]  # nodes off, over slip
-    np.testing.assert_allclose(line.get_xdata(), [0.02, 0.3])
-    np.testing.assert_allclose(line.get_ydata(), [0.15, 1.0])
-    np.testing.assert_allclose(page.axes[0].lines[0].get_ydata(), [100.0, 75.0])
-    squares = page.axes[6].collections[0].get_paths()
-    np.testing.assert_allclose([path.vertices[:4].mean(axis=0) for path in squares], cells)
-    assert len(plots.drift_figure(summarised(table(), {"slip": [0.02, 0.3]}, Noise())).axes) == 3
-
-
 @pytest.mark.parametrize(
     ("options", "says"),
     [
@@ -142,14 +125,3 @@ def test_bytes_of_a_packed_map():
     assert packed_map(BtmMap((), ())) == b""
     far = dataclasses.replace(NODES[1], x_m=9999.0)
     assert np.frombuffer(packed_map(BtmMap((NODES[0], far), ()))[8:10], "<i2").tolist() == [32767]
-
-
-def test_bytes_of_a_room():
-    """A room of 3 x 3 cells is 5 x 5 with its walls: 25 cells, 7 bytes. Ways of 3.2 and 3 m: 7 metres begun."""
-    occupied = np.ones((8, 8), bool)
-    occupied[2:5, 3:6] = False
-    found = storage(World(occupied=occupied, cell_m=0.1, name="room"), MAP)
-    assert found["grid_packed"] == 7
-    assert found["btm_packed"] == 72
-    assert found["pose_graph"] == 8 * (12 + 2 * 181) + 7 * 44
-    assert found["btm_json"] > found["btm_json_zlib"] > 100

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 from ref import maps
-from ref.episodes import assert_equal_episodes, clear_cells, play, readings_of, replay
+from ref.episodes import assert_equal_episodes, clear_cells, play, replay
 
 from jexplore.exploration.state import Outcome, Stream
 from jexplore.exploration.trail import decode, detail_of
@@ -101,38 +101,6 @@ def a_start(seed, occupied, rules, cell_m=0.1):
     return int(row), int(col), 45 * int(draw.integers(8))
 
 
-WORLDS = [
-    (0, (40, 52), "closest", Lidar(), Rules()),
-    (1, (40, 52), "closest+recheck", Lidar(), Rules()),
-    (2, (36, 60), "closest", Lidar(range_m=1.0), Rules()),
-    (3, (60, 36), "closest+recheck", Lidar(range_m=1.0, n_beams=45), Rules()),
-    (4, (44, 44), "closest+recheck", Lidar(range_m=2.0, n_beams=30, fov_deg=90), Rules()),
-    (5, (31, 58), "closest", Lidar(range_m=3.0, n_beams=24, fov_deg=360), Rules(near_m=0.2)),
-    (6, (50, 40), "closest+recheck", Lidar(range_m=2.5, n_beams=19, fov_deg=270), Rules(look_around=False)),
-    (7, (50, 40), "closest", Lidar(range_m=1.5, n_beams=9, fov_deg=360), Rules(look_around=False, p_free=0.5)),
-    (8, (64, 64), "closest+recheck", Lidar(range_m=2.0), Rules(max_steps=60)),
-    (9, (64, 64), "closest", Lidar(range_m=2.0), Rules(max_plans=7)),
-    (10, (45, 33), "closest+recheck", Lidar(range_m=4.0, n_beams=12, fov_deg=30), Rules(near_m=0.0)),
-    (11, (48, 48), "closest", Lidar(range_m=0.55, n_beams=37), Rules(near_m=1.0)),
-    (12, (48, 48), "closest+recheck", Lidar(range_m=2.0), Rules(scan_every_m=1.0)),
-    (13, (48, 48), "closest", Lidar(range_m=2.0), Rules(scan_every_m=0.45, arrival_m=0.5)),
-    (14, (44, 40), "closest", Lidar(range_m=1.0, n_beams=45), Rules(arrival_m=1.2, look_around=False)),
-]
-
-
-@pytest.mark.jit
-@pytest.mark.parametrize(("seed", "shape", "strategy", "lidar", "rules"), WORLDS)
-def test_random_worlds_replay(seed, shape, strategy, lidar, rules):
-    occupied, rooms = maps.cluttered(seed, *shape)
-    result = assert_same(
-        occupied, a_start(seed, occupied, rules), strategy, lidar, rules,
-        cell_m=0.1, rooms=rooms, shape=SHAPE, beams_as=BEAMS_AS,
-    )  # fmt: skip
-    limits = {8: Outcome.STEP_LIMIT, 9: Outcome.PLAN_LIMIT}
-    if seed in limits:
-        assert Outcome(int(result.outcome)) == limits[seed]
-
-
 @pytest.mark.jit
 def test_known_cells_are_counted_in_every_corner_of_the_map():
     """The count follows the square that a scan can change; here the square is small and cut off by the map's edge."""
@@ -198,25 +166,6 @@ def test_a_view_point_is_given_up_when_it_shows_too_little_only_with_rechecking(
     assert targets[""][:3] == [(2, 4), (3, 4), (4, 4)]
     assert targets["+recheck"][:2] == [(2, 4), (3, 4)]
     assert targets["+recheck"][2] == (4, 6)
-
-
-# ---------------------------------------------------------------- noise
-
-
-@pytest.mark.jit
-@pytest.mark.parametrize(("seed", "p_free"), [(0, 0.125), (1, 0.5), (2, 0.25)])
-def test_noisy_episodes_replay_with_the_kernels_own_readings(seed, p_free):
-    """The simulator gets the noisy scans of the same stream; all the rest, refused steps among it, is its own."""
-    occupied, _ = maps.cluttered(40 + seed, 40, 44)
-    lidar = Lidar(range_m=2.0, n_beams=37, sigma_m=0.3, dropout=0.1)
-    rules = Rules(clearance_m=0.0, near_m=0.0, p_free=p_free, max_steps=150, max_plans=60)
-    start = a_start(seed, occupied, rules)
-    how = {"cell_m": 0.1, "shape": SHAPE, "beams_as": BEAMS_AS, "seed": seed}
-    result, state = play(occupied, start, "closest", lidar, rules, **how)
-    sense = readings_of(occupied, lidar, **how)
-    want = replay(occupied, start, "closest", lidar, rules, cell_m=0.1, sense=sense)
-    assert_equal_episodes(result, state, want, cell_m=0.1)
-    assert int(result.refused) > 0
 
 
 # ---------------------------------------------------------------- laws

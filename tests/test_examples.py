@@ -70,10 +70,6 @@ def test_the_written_out_episode_runs_as_a_script(capsys, monkeypatch):
     assert capsys.readouterr().out.splitlines()[-1] == "jx.explore drove the same cells"
 
 
-def test_the_written_out_episode_is_short():
-    assert len((EXAMPLES / "episode.py").read_text(encoding="utf-8").splitlines()) <= 150
-
-
 @pytest.mark.slow
 @pytest.mark.jit
 def test_the_policy_runs():

@@ -81,17 +81,6 @@ def test_a_straight_passage_has_a_dead_end_at_either_end():
     assert near_deg(bearings(found, found.nodes[0]), [0, 180])
 
 
-def test_a_corner_lies_0_586_w_from_both_outer_walls():
-    found = mapped(CORNER)
-    assert types(found) == ["terminal", "divergence", "divergence"]
-    away = W * (2 - math.sqrt(2))
-    corner = node_at(found, 11.5 - away, 7.0 - away)
-    assert near_deg(bearings(found, corner), [180, 270])
-    assert sum(found.angles_deg(corner.id)) == pytest.approx(360)
-    node_at(found, 10.5, 0.5 + W / 2)
-    assert [(link.start, link.end) for link in found.links] == [(0, 1), (1, 2)]
-
-
 def test_a_t_lies_an_eighth_off_the_axis_on_the_side_of_its_stem():
     found = mapped(TEE)
     assert types(found) == ["terminal", *["divergence"] * 3]
@@ -102,12 +91,6 @@ def test_a_t_lies_an_eighth_off_the_axis_on_the_side_of_its_stem():
     assert [(link.start, link.end) for link in found.links] == [(0, 1), (1, 2), (1, 3)]
     assert found.nodes[2].y_m < 2
     assert found.nodes[3].x_m > 10
-
-
-def test_a_crossing_is_one_node_of_four_links():
-    found = mapped(CROSSING)
-    assert types(found) == ["terminal", *["divergence"] * 4]
-    assert near_deg(bearings(found, node_at(found, 6.0, 6.0)), [0, 90, 180, 270], 6)
 
 
 def test_a_hall_on_the_way_gives_a_pair_of_nodes_at_its_doors():
@@ -173,15 +156,6 @@ def test_a_passage_that_ends_in_the_unknown_is_no_free_space():
     found = mapped(STRAIGHT, known)
     assert types(found) == ["terminal"]
     assert [(link.start, link.end) for link in found.links] == [(0, NOWHERE)]
-
-
-def test_a_hall_seen_in_part_has_an_unsearched_link_at_its_door():
-    known = np.ones_like(HALL)
-    known[:, 65:] = False
-    found = mapped(HALL, known)
-    assert types(found) == ["terminal", "free_space"]
-    assert [(link.start, link.end) for link in found.links] == [(0, 1), (1, NOWHERE)]
-    assert near_deg(bearings(found, found.nodes[1]), [0, 180])
 
 
 def test_gaps_in_a_wall_seen_from_far_are_no_ways():

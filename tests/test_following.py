@@ -9,7 +9,7 @@ from ref.refusals import refused
 
 import jexplore as jx
 from jexplore.config import InputError
-from jexplore.driving.batch import MAX_STEPS, building_of, step_slots
+from jexplore.driving.batch import building_of
 from jexplore.driving.local.follow import Stop, recognised
 from jexplore.driving.local.sight import SeenPlace, SeenWay
 from jexplore.driving.settings import ROBOTS
@@ -119,11 +119,6 @@ def test_a_link_that_is_blocked_loses_what_maps_said_about_that(walled):
     assert found["conflicts"] == {"victim": told["victim"]}
     assert (found["blocked"], found["found_by"], found["note"]) == (True, "kamui", "x")
     assert ("blocked_for" in found) == (not walled)
-
-
-@pytest.mark.parametrize(("steps", "slots"), [(1, 1), (MAX_STEPS, 1), (MAX_STEPS + 1, 2), (2 * MAX_STEPS + 1, 4)])
-def test_buffers_of_steps_double(steps, slots):
-    assert step_slots(steps) == slots * MAX_STEPS
 
 
 def test_a_goal_is_taken_into_the_frame_of_the_building():

@@ -44,29 +44,6 @@ def framed(text):
     return jnp.asarray(np.pad(cells, [(0, full - n) for full, n in zip((4, 7), cells.shape)]))
 
 
-def test_clusters_by_hand():
-    frontier = framed("""
-        ##..#
-        ..#..
-        .....
-        #####
-    """)
-    clusters = frontier_clusters(frontier, max_clusters=4)
-    label = np.asarray(clusters.label)
-    np.testing.assert_array_equal(label[::-1, :5], [[1, 1, -1, -1, 2], [-1, -1, 1, -1, -1], [-1] * 5, [0] * 5])
-    assert (label[:, 5:] == -1).all()
-    assert clusters.size.tolist() == [5, 3, 1, 0]
-    # the middle of the row; of the bent one (3, 1) is nearest to its centroid (2.67, 1)
-    assert list(zip(clusters.row.tolist(), clusters.col.tolist())) == [(0, 2), (3, 1), (3, 4), (-1, -1)]
-    assert (int(clusters.count), int(clusters.overflow)) == (3, 0)
-    cost = np.array([[9, 8, 7, 7, 9], [0, 0, 0, 0, 0], [0, 0, 5, 0, 0], [5, 6, 0, 0, 2**30]])
-    cost = jnp.asarray(np.pad(cost, ((0, 0), (0, 2))), jnp.int32)
-    clusters = frontier_clusters(frontier, cost, max_clusters=4)
-    # ties at 7 and at 5 go to the lowest index; cheaper cells that are no members do not count
-    assert list(zip(clusters.row.tolist(), clusters.col.tolist())) == [(0, 2), (2, 2), (3, 4), (-1, -1)]
-    assert clusters.size.tolist() == [5, 3, 1, 0]
-
-
 def test_frontier_cells_that_are_not_looked_at_are_counted():
     clusters = frontier_clusters(framed("#.#.###"), max_clusters=4, max_cells=3)
     assert clusters.label[0].tolist() == [0, -1, 1, -1, 2, -1, -1]
@@ -111,28 +88,6 @@ def test_the_cheapest_member_is_the_oracles(mask, seed):
         expected = plans.closest(want == i, cost)
         at = int(clusters.row[i]), int(clusters.col[i])
         assert at == (divmod(expected, mask.shape[1]) if expected >= 0 else (-1, -1))
-
-
-@pytest.mark.jit
-def test_a_winding_cluster_is_one():
-    mask = np.ones((41, 40), bool)
-    mask[1::2] = False
-    mask[np.arange(1, 41, 2), np.where(np.arange(20) % 2, 0, 39)] = True
-    clusters = jax.jit(frontier_clusters, static_argnames=("max_clusters", "max_cells"))(
-        jnp.asarray(mask), max_clusters=3, max_cells=1000
-    )
-    assert int(clusters.count) == 1
-    assert set(np.asarray(clusters.label)[mask]) == {0}
-    assert set(np.asarray(clusters.label)[~mask]) == {-1}
-
-
-@pytest.mark.jit
-def test_rows_of_a_batch_are_independent():
-    mask = jnp.asarray(np.random.default_rng(1).random((3, 7, 8)) < [[[0.0]], [[0.3]], [[0.7]]])
-    batch = jax.jit(jax.vmap(lambda m: frontier_clusters(m, max_clusters=3)))(mask)
-    for i in range(3):
-        alone = CLUSTERS(mask[i], max_clusters=3)
-        jax.tree.map(lambda many, single, i=i: np.testing.assert_array_equal(many[i], single), batch, alone)
 
 
 @pytest.mark.parametrize("clearance_d2", [0, 1, 9])

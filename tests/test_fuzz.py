@@ -49,7 +49,7 @@ def test_whatever_differs_is_told():
         "explored_fraction": want.explored_fraction + 1e-3,
         "events": [*want.events, ("scan",)],
         "steps_at": [*want.steps_at[:-1], 0],
-        "path_m_at_any_scan": {share: length + 0.01 for share, length in want.path_m_at_any_scan.items()},
+        "path_m_at": {share: length + 0.01 for share, length in want.path_m_at.items()},
     }
     told = {
         name: episodes.differences(*played, dataclasses.replace(want, **{name: value}), **world)

@@ -1,7 +1,5 @@
 """Gain of a look-around: by hand, and compared with the whole map's entropy computed cell by cell."""
 
-import math
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +9,7 @@ from hypothesis import strategies as st
 from ref import gain as oracle
 from ref import maps
 
-from jexplore.gain import Known, look, most, prospect, seen_within, stops_and_unknown
+from jexplore.gain import Known, look, most, prospect, seen_within
 from jexplore.grid import Grid, empty_grid
 from jexplore.raycast import beam_table, square_side
 from jexplore.rules import Lidar
@@ -41,38 +39,7 @@ def told_of(grid, row, col, lidar, **known):
 # ---------------------------------------------------------------- by hand
 
 
-def test_unknown_cells_in_sight_count_one_bit_each():
-    """Ahead 2 unknown cells and the wall; back an obstacle, behind which nothing is seen; aside 1 and 1."""
-    grid = grid_of("""
-        #######
-        #?????#
-        #?#.??#
-        #?????#
-        #######
-    """)
-    told = told_of(grid, 2, 3, CROSS)
-    assert (float(told.gain), int(told.unknown), int(told.known)) == (4, 4, 1)
-
-
-def entropy(p):
-    return -p * math.log2(p) - (1 - p) * math.log2(1 - p)
-
-
 NOTHING = "????? ????? ?.??? ????? ?????"
-
-
-@pytest.mark.parametrize("grow", [(0, 0), (3, 4)])
-def test_beams_end_at_a_known_outline_and_say_nothing_of_it(grow):
-    """Everything is unknown, the ring and the padding too: of the row 3 cells are seen, of the column 1."""
-    grid = grid_of(NOTHING, grow)
-    told = told_of(grid, 2, 1, CROSS, outline=(5, 5))
-    assert (float(told.gain), int(told.unknown), int(told.known)) == (4, 4, 1)
-    stops, unknown = stops_and_unknown(Known(grid, 0.25, outline=(5, 5)), round_table(CROSS))
-    margin = square_side(round_table(CROSS)) // 2
-    stops, unknown = (np.asarray(a)[margin:-margin, margin:-margin] for a in (stops, unknown))
-    inside = np.pad(np.ones((3, 3), bool), [(1, 1 + n) for n in grow])
-    np.testing.assert_array_equal(stops, ~inside)
-    np.testing.assert_array_equal(unknown, inside & (np.asarray(grid.misses) == 0))
 
 
 def test_beyond_a_region_nothing_is_wanted():

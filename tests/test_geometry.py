@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from ref.refusals import refused
 
-from jexplore.studies.geometry import GEOMETRY_COLUMNS, geometry, geometry_table, medians
+from jexplore.studies.geometry import GEOMETRY_COLUMNS, geometry
 from jexplore.worlds import load_world
 from jexplore.worlds.world import World
 
@@ -134,15 +134,6 @@ def test_a_map_with_a_single_free_cell_has_no_figures_that_do_not_exist():
 def test_the_clearance_must_be_a_number():
     for wrong in (-1.0, math.nan, 1000.0):
         refused("clearance_m", geometry, two_rooms(), clearance_m=wrong)
-
-
-def test_a_table_ends_with_the_medians_of_more_than_one():
-    found = [geometry(two_rooms(gap)) for gap in (8, 9, 20)]
-    lines = geometry_table(found).splitlines()
-    assert [line.split("|")[1].strip() for line in lines] == ["world", "---" + "-" * 3, "two", "two", "two", "median"]
-    assert medians(found)["opening_m"] == pytest.approx(0.9)
-    assert math.isnan(medians(found)["corridor_low_m"])
-    assert len(geometry_table(found[:1]).splitlines()) == 3
 
 
 def test_the_command_prints_and_records_it(tmp_path, printed):

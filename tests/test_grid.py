@@ -34,16 +34,6 @@ def test_a_map_by_hand():
     assert G.probability(make([[1, 0]], [[0, 1]])).tolist() == [[1, 0]]  # one observation is enough
 
 
-def test_an_empty_map_is_unknown_everywhere():
-    grid = G.empty_grid((2, 3))
-    assert grid.hits.shape == grid.misses.shape == (2, 3)
-    assert grid.hits.dtype == grid.misses.dtype == jnp.int32
-    assert not G.is_known(grid).any()
-    assert not G.is_free(grid, 0.25).any()
-    assert not G.is_occupied(grid, 0.25).any()
-    np.testing.assert_array_equal(G.entropy(grid), np.ones((2, 3)))
-
-
 def test_entropy_by_hand():
     grid = make([[0, 0, 1, 1, 3, 5]], [[0, 4, 3, 1, 1, 0]])
     np.testing.assert_allclose(G.entropy(grid), [[1, 0, 0.8112781, 1, 0.8112781, 0]], atol=1e-6)

@@ -24,16 +24,7 @@ from jexplore.studies.gym import ID  # noqa: E402
 from jexplore.studies.gym.envs import GymEnv, GymVectorEnv  # noqa: E402
 
 LIDAR = Lidar(n_beams=37, range_m=1.0, sigma_m=0.03, dropout=0.02)
-SEED = 2
 pytestmark = pytest.mark.jit
-
-
-@pytest.fixture(scope="module")
-def compared(jit_on):
-    """`closest` in two rooms: episodes, and their starts."""
-    with jit_on():
-        table = jx.compare(two_rooms(), "closest", episodes=4, seed=SEED, lidar=LIDAR).episodes
-        return table, table[["start_row", "start_col", "start_heading_deg"]].to_numpy(np.int32)
 
 
 @pytest.fixture(scope="module")
@@ -117,21 +108,6 @@ def test_made_by_name_and_wrapped():
 # --- as they are without it
 
 
-@pytest.mark.slow
-def test_closest_in_lanes_is_closest_to_the_bit(envs, compared):
-    table, starts = compared
-    seen, info = envs.reset(seed=[SEED] * 4, options={"start": starts, "world": [0] * 4, "episode": range(4)})
-    ended = np.zeros(4, int)
-    for step in range(1, 60):
-        seen, _, terminated, truncated, info = envs.step(nearest(seen))
-        for i in np.flatnonzero(terminated & (ended == 0)):
-            ended[i] = step
-            assert info["path_m"][i] == pytest.approx(table["path_m"].iloc[i], abs=1e-12)
-            assert jx.Outcome(info["outcome"][i]).name == table["outcome"].iloc[i]
-        assert not truncated.any()
-    assert (ended + 1).tolist() == table["plans"].tolist()
-
-
 def test_an_observation_is_what_the_robot_believes(envs):
     seen, info = envs.reset(seed=5)
     for _ in range(3):
@@ -166,27 +142,6 @@ def test_in_lanes_every_other_step_begins_anew_where_all_is_seen_from_the_start(
     many = GymVectorEnv(**CLOSET)
     many.reset(options={"start": [(2, 2, 90)]})
     assert [bool(many.step([0])[2][0]) for _ in range(4)] == [True, False, True, False]
-
-
-@pytest.mark.slow
-def test_by_pencil():
-    """A closet that one look all round shows whole: over as it begins, which the first step says."""
-    one = GymEnv(**CLOSET)
-    seen, info = one.reset(options={"start": (2, 2, 90)})
-    edge, room = [0, 2, 2, 2, 2, 0, 2], [2, 1, 1, 1, 1, 2, 2]  # the ring's corners are never seen
-    assert seen["map"][:6, :7].tolist() == [edge, room, room, room, edge, [2] * 7]
-    assert seen["robot"].tolist() == [2, 2, 2]
-    np.testing.assert_allclose(
-        seen["path_m"][:4, :4],
-        [[-1] * 4, [-1, 0.1 * 2**0.5, 0.1, 0.1 * 2**0.5], [-1, 0.1, 0, 0.1], [-1, 0.1 * 2**0.5, 0.1, 0.1 * 2**0.5]],
-        rtol=1e-4,
-    )
-    assert not seen["frontier"].any()
-    assert not info["action_mask"].any()
-    assert info["known_m2"] == pytest.approx(0.26)
-    _, reward, terminated, truncated, info = one.step(0)
-    assert (reward, terminated, truncated) == (0, True, False)
-    assert info["outcome"] == jx.Outcome.COMPLETE
 
 
 # --- ends
@@ -238,18 +193,6 @@ def test_wrong_actions_move_nothing_and_count(env):
     one = GymEnv(two_rooms(), lidar=LIDAR, max_decisions=3)
     one.reset(seed=1)
     assert [one.step(0)[3] for _ in range(3)] == [False, False, True]
-
-
-@pytest.mark.slow
-def test_any_cell_that_can_be_reached():
-    one = GymEnv(two_rooms(), lidar=LIDAR, targets="reachable")
-    seen, info = one.reset(seed=1)
-    np.testing.assert_array_equal(info["action_mask"], (seen["path_m"] >= 0).ravel())
-    far = int(np.argmax(np.where(seen["frontier"] > 0, -1, seen["path_m"])))
-    after, reward, _, _, info = one.step(far)
-    assert info["valid"]
-    assert reward == pytest.approx(-seen["path_m"].ravel()[far])
-    assert divmod(far, 64) == tuple(after["robot"][:2])
 
 
 # --- seeds and options

@@ -7,8 +7,7 @@ import pytest
 import jexplore as jx
 from jexplore.rules import Lidar
 from jexplore.studies.bounds.scene import prepare_scene
-from jexplore.studies.explore import explore, replay_of
-from jexplore.studies.geometry import geometry
+from jexplore.studies.explore import explore
 from jexplore.studies.room_variants import RoomSettings, divided
 from jexplore.worlds.world import occupancy_to_world
 
@@ -57,17 +56,6 @@ def test_an_episode_begins_where_it_was_told_to_and_keeps_its_cells(both):
     assert {name: one.measures[name] for name in same} == {name: other.measures[name] for name in same}
 
 
-def test_so_do_the_frames_of_its_page(both):
-    pages = [replay_of(made, max_frames=4) for made in both]
-    assert pages[0].truth.shape == plan().shape
-    for one, other in zip(*(page.maps() for page in pages), strict=True):
-        assert np.array_equal(one, other[1:-1, 1:-1])
-    assert np.array_equal(pages[0].rows + 1, pages[1].rows)
-    assert np.array_equal(pages[0].target[:-1] + 1, pages[1].target[:-1])
-    assert np.array_equal(pages[0].heading_deg, pages[1].heading_deg)
-    assert np.array_equal(pages[0].known_m2, pages[1].known_m2)
-
-
 def test_so_do_paths_and_maps_of_a_comparison():
     found = [jx.compare(world, "closest", episodes=2, lidar=LIDAR, keep="maps") for world in (PLAIN, WALLED)]
     key = "mine", "closest"
@@ -108,10 +96,6 @@ def test_rooms_are_those_of_the_same_plan_in_walls(variant):
     assert np.array_equal(made[0].label, made[1].label[1:-1, 1:-1])
     cells = [np.stack(np.divmod(one.lines, world.shape[1])) for one, world in zip(made, (PLAIN, WALLED))]
     assert np.array_equal(cells[0] + 1, cells[1])
-
-
-def test_figures_of_a_building_are_those_of_the_same_plan_in_walls():
-    assert geometry(PLAIN) == geometry(WALLED)
 
 
 def test_bounds_see_the_same_cells():

@@ -139,12 +139,6 @@ def test_foreign_files_are_refused(text, message):
     assert message is None or str(caught.value) == message
 
 
-def test_a_map_that_is_none_is_not_written():
-    with pytest.raises(InputError, match=r'^"map": link 0 ends at node 1, which is not there$'):
-        json_form.to_json(BtmMap((node(0),), (way(0, 0, 1, 0),)))
-    refused(r'^"map": attributes must be what JSON can hold, .*, got ', json_form.to_json, BtmMap((), (), {"a": {1}}))
-
-
 def test_files(tmp_path):
     path = tmp_path / "map.json"
     store.write_json(json_form.to_json(CRAWLER), path)

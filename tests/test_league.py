@@ -14,7 +14,6 @@ from jexplore.policies import parse_strategy
 from jexplore.report.plots.compare import league_figure
 from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds, standings, standings_table
 from jexplore.studies.statistics.over_worlds import kind_of, mean_over_worlds
-from jexplore.studies.statistics.paired import holm
 from jexplore.worlds import load_world
 
 
@@ -83,14 +82,6 @@ def test_worlds_without_a_ratio_and_tables_without_a_row():
     league_figure(found)
 
 
-def test_an_interval_of_ranks_ends_at_the_first_and_the_last():
-    paths = {(f"cave#{i}", s): [p] for i in range(2) for s, p in (("a", 1.0 + i), ("b", 2.5 - i), ("c", 9.0))}
-    table = standings(episodes(paths)).set_index("strategy")
-    assert table.loc["a", ["rank", "rank_low", "rank_high"]].tolist() == [1.5, 1, 3]
-    assert table.loc["c", "rank"] == 3
-    assert math.isnan(table.loc["c", "rank_low"])
-
-
 def test_strata():
     """Two kinds that differ much, with worlds of each that differ little: the interval is that of the kinds' mean."""
     values, kinds = [1.0, 1.2, 5.0, 5.4], ["x", "x", "y", "y"]
@@ -105,12 +96,6 @@ def test_strata():
     plain = scipy_stats.ttest_1samp(values, 0.0)
     for one in (["x"] * 4, ["x", "x", "x", "y"]):
         assert mean_over_worlds(values, one)[3] == pytest.approx(plain.pvalue)
-
-
-def test_holm_by_hand():
-    np.testing.assert_allclose(holm([0.01, 0.04, 0.03, math.nan]), [0.03, 0.06, 0.06, math.nan])
-    np.testing.assert_allclose(holm([0.5, 0.6]), [1.0, 1.0])
-    assert np.isnan(holm([math.nan])).all()
 
 
 def test_what_cannot_be_told_from_the_reference_is_called_so():
@@ -145,17 +130,6 @@ def test_the_league_with_worlds_and_strategies_of_ones_own(tmp_path, capsys):
     assert "mean rank" in capsys.readouterr().out
 
 
-def test_kinds():
-    for kind, names in {
-        "cave": ("cave", "cave#3"),
-        "office": ("office:width_m=4",),
-        "maps": ("maps/a.png@0.05", "x.map", "mine", "C:\\maps\\a.png"),
-        "furnished": ("rooms#2:furniture=1", "rooms:width_m=9,furniture=0.5,x=1", "rooms:furniture=1e-3"),
-        "rooms": ("rooms#2:furniture=0", "rooms:furniture=0.0,x=1"),
-    }.items():
-        assert {name: kind_of(name) for name in names} == dict.fromkeys(names, kind)
-
-
 def test_the_league_has_eight_worlds_of_six_kinds_and_strategies_that_parse():
     worlds = league_worlds()
     assert len(set(worlds)) == 48
@@ -170,8 +144,3 @@ def test_the_league_has_eight_worlds_of_six_kinds_and_strategies_that_parse():
         ("cave", "office", "hospital", "maze", "rooms", "furnished"), 8
     )
     assert len({parse_strategy(name).name for name in LEAGUE_STRATEGIES}) == len(LEAGUE_STRATEGIES)
-
-
-def test_the_picture():
-    page = league_figure(standings(episodes({("cave#0", "a"): [10.0, 30.0], ("cave#0", "b+c"): [5.0, 5.0]})))
-    assert [t.get_text() for t in page.axes[0].get_yticklabels()] == ["b+c", "a"]

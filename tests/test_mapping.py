@@ -16,7 +16,6 @@ from jexplore.driving.params.tree import P
 from jexplore.driving.records import Latch
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
 from jexplore.tracemap import record
-from jexplore.tracemap.merging.rigid import apart_deg
 from jexplore.tracemap.similarity import code
 
 pytestmark = pytest.mark.jit
@@ -127,18 +126,6 @@ BEGIN = jax.jit(mapping.begin_map, static_argnums=(0, 1, 2))
 
 def begun(pose=(0.0, 0.0, 0.0), *, behind=False):
     return BEGIN(STEPS, NODES, LINKS, jnp.asarray(pose, jnp.float32), behind)
-
-
-def test_a_map_begins_with_the_start_and_a_link_ahead():
-    writer = begun((1.0, 2.0, 0.5))
-    assert record.check_map(btm.to_map(writer.map)) == record.BtmMap(
-        (record.Node(0, 1.0, 2.0, "terminal"),),
-        (record.Link(0, 0, -1, "un-searched", pytest.approx(math.degrees(0.5))),),
-        {"overflow": 0},
-    )
-    assert (int(writer.node), int(writer.link), float(writer.left_bearing)) == (0, 0, 0.5)
-    assert not writer.exhausted
-    assert float(writer.border_m) == math.inf
 
 
 def path(writer, *rows):
@@ -281,17 +268,6 @@ def test_a_t_is_left_to_the_right_whichever_way_it_lies(turn):
     assert (int(writer.node), float(writer.node_m), bool(writer.exhausted)) == (1, 3.5, False)
 
 
-@pytest.mark.slow
-def test_what_is_written_of_a_t():
-    written = record.check_map(btm.to_map(at_the_t()[0].map))
-    assert written.nodes[1] == record.Node(1, 3.75, 0.0, "divergence", posture_deg=pytest.approx(1.5))
-    link = written.links[0]
-    assert (link.length_m, link.min_width_m, link.posture_deg) == pytest.approx((3.5, 2, 2))
-    assert (apart_deg(link.start_bearing_deg, 0), link.end_bearing_deg) == pytest.approx((0, 180), abs=1)
-    assert written.links[1].opening_m == pytest.approx(2, abs=0.1)  # 2.03 m askew
-    assert written.angles_deg(1) == pytest.approx([90, 90, 180], abs=6)  # between bearings within 3 degrees each
-
-
 def test_the_way_in_is_the_opening_by_which_it_came_last():
     """Along the stem and into the south, then to the middle: its way in lies there, not where it began to approach."""
     rows = [(x, x, 0, 0, 0, 0, 2.0) for x in (0, 1, 2, 3)] + [(6, 4, -2, 0, 0, 0, 2.0), (7, 4, -1.2, 0, 0, 0, 2.0)]
@@ -324,15 +300,6 @@ def test_a_free_space_is_two_nodes_on_the_way():
     assert (link.start_bearing_deg, link.end_bearing_deg) == pytest.approx((math.degrees(0.25), 180))
     assert not writer.exhausted
     assert written.links[2].attributes == {}
-
-
-def test_the_end_of_a_run_is_a_node_even_where_it_began():
-    writer, latch, *_ = write_node(begun(), event(TERMINAL, 3, (0.1, 0.0, 0.5), posture=2))
-    assert links_of(writer) == [(0, 1, SEARCHED)]
-    assert (latch, bool(writer.exhausted)) == (Latch.FREE, False)
-    assert btm.to_map(writer.map).nodes[1].type == "terminal"
-    writer, *_ = write_node(hall(), event(TERMINAL, 5, (0.1, 0.0, 0.5)))
-    assert links_of(writer)[1] == (1, 2, SEARCHED)
 
 
 def at_a_dead_end(writer, centre, heading, odometer):
@@ -411,10 +378,6 @@ def test_where_a_node_is_met_again_the_heading_is_corrected(turn_deg, centre, sh
     assert degrees(out - left) == pytest.approx(90, abs=4)
     assert target[0] == pytest.approx(4, abs=0.15)
     assert 1 < float(target[1]) - TUNING.leave_m < 1.56
-
-
-# A passage two metres wide that comes from the west and runs on, or bends.
-STRAIGHT = np.concatenate([wall((-3, 3), (1, 1)), wall((-3, 3), (-1, -1))])
 
 
 def bend(by_deg):
@@ -705,19 +668,6 @@ def test_a_divergence_just_left_is_known():
     near = jnp.asarray([[3.75, 0.45], [3.75, 0.55]])
     assert mapping.is_near_known(small, near, jnp.float32(3.5), TUNING.leave_m).tolist() == [True, False]
     assert known(0.5, begun()) == [False] * 5  # the start is not among them
-
-
-@pytest.mark.slow
-def test_rows_of_a_batch_are_independent():
-    cases = []
-    for turn, kind in ((0.2, DIVERGENCE), (1.1, OBSTACLE)):
-        writer = begun().replace(entry=jnp.asarray(turned((1, 0), turn), jnp.float32))
-        due = event(kind, 3.5, (*turned(T_CENTRE, turn), turn), radius=T_RADIUS)
-        cases.append(jax.device_get((writer, due, seen(turned(T_WALLS, turn)))))
-    batch = jax.jit(jax.vmap(WRITE, (0, 0, 0, None)))(*jax.tree.map(lambda *a: np.stack(a), *cases), TUNING)
-    for i, case in enumerate(cases):
-        one = WRITE(*case, TUNING)
-        jax.tree.map(lambda many, one, i=i: np.testing.assert_allclose(many[i], one, rtol=1e-5, atol=1e-5), batch, one)
 
 
 @pytest.mark.parametrize(("off_m", "is_elsewhere"), [(0.0, False), (2.9, False), (3.1, True)])

@@ -18,7 +18,6 @@ from scipy.stats import lognorm, multivariate_normal
 
 import jexplore as jx
 from jexplore.cli.main import main
-from jexplore.cli.output import console
 from jexplore.tracemap import json_form
 from jexplore.tracemap.merging import evidence
 from jexplore.tracemap.merging import pair as pair_module
@@ -26,8 +25,8 @@ from jexplore.tracemap.merging.limits import Limits
 from jexplore.tracemap.merging.match import Merging, match_maps, with_neighbours
 from jexplore.tracemap.merging.merge import merge_maps
 from jexplore.tracemap.merging.pair import Pair, places_of
-from jexplore.tracemap.merging.rigid import Move, fit, mean_deg, moved_map
-from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, check_map
+from jexplore.tracemap.merging.rigid import Move, fit, moved_map
+from jexplore.tracemap.record import BtmMap, Link, Node, check_map
 from jexplore.tracemap.similarity import code
 from jexplore.worlds import load_world
 
@@ -63,29 +62,6 @@ def merged_of(*given, **options):
 @functools.cache
 def truth_of(seed):
     return load_world(f"course#{seed}").course.topology
-
-
-def test_places_by_hand():
-    places = places_of(SECOND)
-    assert list(places.nodes) == [7, 8, 9, 10]  # the start is a stop on the way from 7 to 10
-    down = places.ways[7][1]
-    assert (down.end, down.back, down.length_m, down.stops, down.width_m) == (10, 1, 6.0, ((0, 2.5),), 1.3)
-    assert [forward for _, forward in down.steps] == [False, True]
-    assert places.ways[9][0].end == NOWHERE
-    assert places.ways[8][1].opening_m == 1.2
-    start = places_of(FIRST).ways[1][2]
-    assert not start.is_whole
-    assert (start.length_m, start.stops, start.opening_m) == (4.0, ((0, 4.0),), None)
-
-
-def test_moves_by_hand():
-    assert QUARTER.place(1, 0) == pytest.approx((2, 0))
-    assert QUARTER.after(Move(1, 0, 300)).place(0, 0) == pytest.approx((2, 0))
-    assert QUARTER.after(Move(1, 0, 300)).turn_deg == 30
-    assert fit([(0, 0), (1, 0)], [QUARTER.place(0, 0), QUARTER.place(1, 0)], 0.0).turn_deg == pytest.approx(90)
-    assert dataclasses.astuple(fit([(1, 1)], [(3, 1)], 180.0)) == pytest.approx((4, 2, 180))
-    assert mean_deg([350, 20]) == pytest.approx(5)
-    assert mean_deg([350, 20], [1.0, 2.0]) == pytest.approx(10)
 
 
 @pytest.mark.parametrize("move", [Move(), Move(-30, 4, 217)])
@@ -708,12 +684,6 @@ def test_a_map_has_one_name_however_its_path_is_typed(files, refuses, capsys, mo
     refuses(["merge-maps", *both, "--names", "a"], "--names: expected a name for each of 2 maps, got 1")
     assert main(["merge-maps", *both, "--names", "a", "b", "--out", "named.json"]) == 0
     assert json_form.read_btm("named.json").attributes["merged_from"] == ["a", "b"]
-
-
-def test_the_command_shows_that_it_works(files, capsys, monkeypatch):
-    monkeypatch.setattr(console, "PATIENCE_S", 0.0)
-    assert main(["merge-maps", "a.json", "b.json", "c.json", "--partial"]) == 1
-    assert "1/4 pairs of maps" in capsys.readouterr().err
 
 
 @pytest.fixture

@@ -1,14 +1,11 @@
 """World names: the grammar, and `load_world`."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from ref.refusals import refused
 
 from jexplore import worlds
-from jexplore.worlds import GENERATORS, generator_parameters, load_world
+from jexplore.worlds import load_world
 from jexplore.worlds.names import file_names, parse_name, short_names
 from jexplore.worlds.world import World
 
@@ -145,13 +142,6 @@ def test_a_generator_gets_its_seed_cell_and_parameters_and_its_world_has_them_as
 
 
 @pytest.mark.usefixtures("generators")
-def test_what_a_generator_takes_is_read_from_its_signature():
-    defaults = {"width_m": 1.0, "n_doors": 2, "loops": False, "style": "plain", "height_m": None}
-    assert generator_parameters("bare") == defaults
-    assert generator_parameters("full") == {}
-
-
-@pytest.mark.usefixtures("generators")
 @pytest.mark.parametrize(
     ("name", "line"),
     [
@@ -180,24 +170,6 @@ def test_a_bad_cell_is_refused(cell_m):
 @pytest.mark.parametrize("name", [None, 3, ["cave"]])
 def test_a_name_that_is_none_is_refused(name):
     refused("world must be a name or a path", load_world, name)
-
-
-@pytest.mark.parametrize("name", GENERATORS)
-def test_every_generator_loads_by_name(name):
-    world = load_world(f"{name}#1")
-    assert world.name == f"{name}#1"
-    assert world.occupied[[0, -1]].all()
-    assert world.occupied[:, [0, -1]].all()
-    assert np.array_equal(load_world(f"{name}#1").occupied, world.occupied)
-    assert not np.array_equal(load_world(f"{name}#2").occupied, world.occupied)
-    assert "cell_m" not in generator_parameters(name)
-
-
-@pytest.mark.slow
-def test_importing_the_names_loads_no_heavy_library():
-    code = "import sys, jexplore.worlds; print([m for m in ('jax', 'numpy', 'PIL', 'yaml') if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
 
 
 # --- short names, names of files

@@ -1,4 +1,4 @@
-"""Whole episodes in native code: by hand, the bits of JAX, as a GPU runs them, broken builds, interruptions."""
+"""Whole episodes in native code: as a GPU runs them, replays, broken builds; `test_fuzz` has their bits."""
 
 import ctypes
 import dataclasses
@@ -19,9 +19,7 @@ from jexplore.engine.runner import on_cores, run_all
 from jexplore.exploration import native as runs
 from jexplore.exploration.batch import Job, run_jobs
 from jexplore.native import build, episodes, gpu
-from jexplore.native.episodes import trace_beams
 from jexplore.policies import parse_strategy
-from jexplore.raycast import beam_table
 from jexplore.rules import Lidar, Rules
 from jexplore.studies import replays
 from jexplore.worlds.starts import draw_starts
@@ -39,32 +37,6 @@ def job_of(name, n=4, world=ROOMS, seed=3):
 
 def assert_equal(one, other):
     jax.tree.map(np.testing.assert_array_equal, one, other)
-
-
-@needs_compiler
-@pytest.mark.jit
-@pytest.mark.parametrize("name", ["closest", "closest+recheck", "random", "random+recheck"])
-def test_episodes_have_the_bits_of_jax(name):
-    job = job_of(name)
-    reports = [run_jobs([job], LIDAR, RULES, engine=engine, keep="maps") for engine in ("auto", "jax")]
-    assert [report.costs.levels for report in reports] == [{name: ["native on a CPU"]}, {name: ["JAX"]}]
-    ours, theirs = (report.outcomes[0] for report in reports)
-    assert_equal(dataclasses.asdict(ours.result), dataclasses.asdict(theirs.result))
-    assert_equal(ours.first._replace(plans=None), theirs.first._replace(plans=None))
-    assert ours.first.plans == theirs.first.plans
-    assert_equal(ours.records, theirs.records)
-
-
-@needs_compiler
-@pytest.mark.parametrize("number", range(30))
-def test_a_warp_comes_to_the_same(number):
-    """As a GPU runs it, its lanes one after the other; scans by their beams, and looked up."""
-    fits = [one for one in fuzz.MANY if not (one.noisy or one.restricted or one.frontier[1] > 1)]
-    case = fuzz.draw_case(3, number, fits)
-    run = native.play(case)
-    for views in (False, True):
-        found = run.place.inner.emulate(run.tasks, views=views)
-        np.testing.assert_array_equal(found[0], run.table[0])
 
 
 @needs_compiler
@@ -129,23 +101,6 @@ def test_a_gpu_that_jax_is_not_to_use_is_not_used(monkeypatch):
             patch.setattr(gpu.jax, "config", types.SimpleNamespace(values={"jax_platforms": platforms}))
             found = gpu.device_count()
         assert found == n
-
-
-def test_beams_enter_the_cells_of_the_table():
-    for lidar, cell_m in (
-        (Lidar(), 0.1),
-        (Lidar(90, 70, 3.0), 0.07),
-        (Lidar(8, 360, 5.0), 0.5),
-        (Lidar(1, 90, 2.0, yaw_deg=30), 0.2),
-    ):
-        beams, table = trace_beams(lidar, cell_m), beam_table(lidar, cell_m, 1000)
-        np.testing.assert_array_equal(beams.length, table.length)
-        for heading, beam in np.ndindex(*beams.length.shape):
-            n = beams.length[heading, beam]
-            is_row = beams.is_row[heading, beam, np.arange(n) // 32] >> (np.arange(n) % 32).astype(np.uint32) & 1
-            rows, cols = np.cumsum(is_row), np.cumsum(1 - is_row.astype(int))
-            np.testing.assert_array_equal(rows * beams.way[heading, beam, 1], table.drow[heading, :n, beam])
-            np.testing.assert_array_equal(cols * beams.way[heading, beam, 0], table.dcol[heading, :n, beam])
 
 
 @pytest.mark.slow

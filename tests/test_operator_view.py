@@ -104,25 +104,6 @@ def test_triangles_lie_end_to_end_without_the_missing():
     np.testing.assert_allclose(arrays["triangles_m"][-1], [[1, 1], [3, 0], [3, 2]])
 
 
-def test_the_rest_comes_back():
-    data = data_of(page(recording()))
-    assert (data["title"], data["dt_s"], data["goal_m"], data["robot_m"]) == (
-        "Corridor and T",
-        0.1,
-        [9, 3.5],
-        [0.7, 0.39],
-    )
-    assert data["mode_names"] == ["central_run", "wall_following", "branch_selection"]
-    assert [node["id"] for node in data["nodes"]] == [0, 4, 7]
-    assert data["nodes"][1]["attributes"] == {"v": NASTY[:-1]}
-    assert data["nodes"][2]["posture_deg"] is None
-    assert data["links"][2] == {
-        **{"id": 2, "start": 7, "end": -1, "status": "un-searched", "start_bearing_deg": 270, "end_bearing_deg": None},
-        **{"length_m": None, "min_width_m": None, "posture_deg": None, "opening_m": None, "attributes": {}},
-        **{"max_roll_deg": None, "max_step_m": None},
-    }
-
-
 def test_no_text_leaves_its_place():
     plain, nasty = page(recording()), page(recording(title=NASTY, mode_names=(NASTY, "a", "b")))
     assert nasty.isascii()

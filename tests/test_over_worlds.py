@@ -125,13 +125,3 @@ def test_strategies_without_a_common_start():
     assert found["worlds"].tolist() == [0, 0]
     assert found[["ratio", "shorter", "rank"]].isna().all(axis=None)
     assert "nan" not in league.over_worlds_text(found)
-
-
-def test_text_of_standings():
-    rng = np.random.default_rng(0)
-    paths = {(f"cave#{i}", name): rng.gamma(9, f, 4) for i in range(6) for f, name in ((9, "a"), (8, "b"), (12, "c"))}
-    table = league.standings(episodes(paths))
-    text = league.over_worlds_text(table)
-    assert text.startswith("Over 6 worlds, which count the same")
-    assert league.standings_table(table) in text
-    assert "nan" not in text

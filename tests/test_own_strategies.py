@@ -537,18 +537,3 @@ def test_a_way_is_followed_cell_by_cell():
     assert not leads(2, way=jnp.array([[0, -1, 0, 0]], jnp.int8))
     assert not leads(2, way=jnp.array([[0, 2, 0, 0]], jnp.int8))  # to and fro
     assert not leads(2, way=jnp.array([[2, 0, 0, 0]], jnp.int8))  # over the edge
-
-
-@pytest.mark.slow
-@pytest.mark.jit
-def test_every_strategy_of_the_package_would_pass_the_check():
-    belief = beliefs.belief_of("...?\n.R..\n...?", grow=(61, 60))
-    route = jnp.full(belief.driven.shape, -1, jnp.int8)
-    for name in STRATEGIES:
-        one = parse_strategy(name).policy
-        wrapped = jx.Policy(
-            adapt.Init(one.init), adapt.Select(one.select), one.params, one.live and adapt.Live(one.live)
-        )
-        table = beliefs.table(beliefs.LIDAR, belief)
-        found = adapt.traced_policy(wrapped, jax.tree.map(jnp.asarray, one.params), belief, table, route)
-        assert adapt.digest_of(found) is not None

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from ref.passages import EAST, FEATURES, NORTH, WIDTHS_M, building
+from ref.passages import EAST, FEATURES, WIDTHS_M, building
 
 from jexplore.arrays.delaunay import circumcircles, delaunay
 from jexplore.driving import vehicle
@@ -242,24 +242,6 @@ def test_the_circle_lies_where_three_walls_are_equally_far(name, width_m):
         np.testing.assert_allclose(radii, radius * width_m, atol=0.04 + 0.02 * width_m)
 
 
-def test_mirrored_maps_have_mirrored_divergences():
-    for left, right in (("left corner", "right corner"), ("T from the side, left", "T from the side, right")):
-        (one, radii), (other, mirrored_radii) = (
-            seen_from(building(FEATURES[name][0], 2.0), -2.0, sign * 0.1, sign * 0.1)
-            for name, sign in ((left, 1), (right, -1))
-        )
-        np.testing.assert_allclose(one, other * [1, -1], atol=0.02)
-        np.testing.assert_allclose(radii, mirrored_radii, atol=0.02)
-
-
-def test_the_way_the_robot_looks_along_does_not_matter():
-    walls_, middle = building("wns", 2.0)
-    turned, _ = building("sew", 2.0)  # by a quarter, counter-clockwise
-    one, *_ = seen_from((walls_, middle), -2.0, 0.1, 0.05)
-    other, *_ = seen_from((turned, middle), -0.1, -2.0, NORTH + 0.05)
-    np.testing.assert_allclose(np.stack([-one[:, 1], one[:, 0]], 1), other, atol=0.02)
-
-
 def one_wall_by_angles(xy, valid, centre, corner, recess_m):
     """Return whether a circle touches one wall twice, a triangle at a time, by angles in double precision."""
     xy = xy.astype(float)
@@ -423,27 +405,6 @@ def staircase(x, tread_m, riser_m):
 
 
 WAY = np.arange(0.013, 3.0, 0.04)  # a point every step of 0.1 s at 0.4 m/s
-
-
-def test_three_points_by_hand():
-    found = profile_of([0, 1, 2], [0, 3, 0])
-    assert float(found.slope) == pytest.approx(0, abs=1e-6)
-    assert float(found.variance_m2) == pytest.approx(6, rel=1e-5)  # 1 + 4 + 1, over 3 - 2
-    assert float(found.step_m) == 0  # no point within a flank of another
-    for n in range(3):  # fewer say nothing
-        found = profile_of(np.arange(n), 3 * np.arange(n))
-        assert [float(v) for v in (found.variance_m2, found.slope, found.step_m)] == [0, 0, 0]
-
-
-@pytest.mark.parametrize("degrees", [-30, 0, 45])
-def test_a_slope_fits_a_line(degrees):
-    gradient = math.tan(math.radians(degrees))
-    for start in (0.0, 25.0):
-        found = profile_of(start + WAY, gradient * WAY + 0.7)
-        assert float(found.variance_m2) < 1e-8
-        assert float(found.slope) == pytest.approx(gradient, abs=1e-4)
-        # The middles of both flanks are 0.12 m apart at most 0.16.
-        assert float(found.step_m) <= 0.17 * abs(gradient) + 1e-5
 
 
 @pytest.mark.parametrize("riser_m", [0.03, 0.1, 0.2])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ref import maps, plans
+from ref import plans
 from ref.beliefs import belief_from, belief_of
 
 from jexplore import planning
@@ -47,14 +47,6 @@ ROOM = """
     #....#
     ####?#
 """
-
-
-def test_a_field_by_hand():
-    reached = field(belief_of(ROOM))
-    by_hand = [[FAR] * 6, [FAR, D, S, D, FAR, FAR], [FAR, S, 0, S, 2 * S, FAR], [FAR, D, S, D, S + D, FAR], [FAR] * 6]
-    np.testing.assert_array_equal(reached.cost[::-1], by_hand)
-    np.testing.assert_array_equal(reached.frontier, maps.walls("...... ...#.. ...##. ...##. ......"))
-    np.testing.assert_array_equal(reached.traversable, ~maps.walls("###### #...## #....# #....# ######"))
 
 
 def test_exhausted_cells_and_unreachable_ones_are_no_candidates():
@@ -192,16 +184,3 @@ def test_equal_costs_inside_and_outside_a_window_go_to_the_lowest_index():
             row, col = (96, 96) if turns == 0 else ((95, 96), (95, 95), (96, 95))[turns - 1]
             assert misses[row, col] == 1
             assert int(both(believe(hits, misses, row, col)).cost) == length * S
-
-
-@pytest.mark.jit
-def test_rows_of_a_batch_are_independent():
-    beliefs = [random_belief(seed, (8, 7), 0.1, 0.2, 1) for seed in range(3)]
-    stacked = jax.tree.map(lambda *a: jnp.stack(a), *beliefs)
-    batch = jax.jit(jax.vmap(nearest_frontier))(stacked, jnp.full((3, 8, 7), -1, jnp.int8))
-    for i, belief in enumerate(beliefs):
-        jax.tree.map(
-            lambda many, alone, i=i: np.testing.assert_array_equal(many[i], alone),
-            batch,
-            NEAREST(belief, no_route(belief)),
-        )

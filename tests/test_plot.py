@@ -11,7 +11,6 @@ from ref.refusals import refused
 from jexplore.config import InputError
 from jexplore.report import plot
 from jexplore.report.plots import maps
-from jexplore.worlds.world import World
 
 STATE = np.array([[2, 2, 2, 2], [2, 1, 1, 0], [2, 2, 0, 0]], dtype=np.uint8)
 LONG = "decision-theoretic+recheck+segment:samples=500,lam=0.2"
@@ -26,27 +25,6 @@ def ax():
 
 def shown(figure):
     return [ax for ax in figure.axes if ax.get_visible()]
-
-
-def world(rows=20, cols=30, **fields):
-    occupied = np.ones((rows, cols), dtype=bool)
-    occupied[1:-1, 1:-1] = False
-    return World(occupied=occupied, cell_m=0.1, **fields)
-
-
-@pytest.mark.parametrize(
-    ("text", "width", "lines", "expected"),
-    [
-        ("closest", 10, 2, "closest"),
-        ("closest+recheck", 10, 2, "closest\n+recheck"),
-        ("a,b:c=1,d=2", 6, 3, "a,b\n:c=1,\nd=2"),
-        ("abcdefgh", 3, 3, "abc\ndef\ngh"),
-        ("abcdefghij", 5, 1, "a…hij"),
-        ("", 5, 1, ""),
-    ],
-)
-def test_wrapped(text, width, lines, expected):
-    assert plot.wrapped_text(text, width, max_lines=lines) == expected
 
 
 def test_map_by_pixels(ax):
@@ -133,20 +111,6 @@ def test_episode_figure(shape):
     np.testing.assert_allclose(curve.get_segments(), [[[0, 1], [4, 3]], [[4, 3], [8, 5]]])
     (share,) = right.child_axes
     np.testing.assert_allclose(share.get_ylim(), [0.0, 105.0])
-
-
-def test_worlds_figure():
-    rooms = np.full((20, 30), -1, dtype=np.int32)
-    rooms[1:10, 1:10], rooms[12:18, 12:20] = 0, 4  # two rooms, numbered with a gap
-    plans = [("office#1", world(rooms=rooms, start=(5, 6, 90))), ("maze" * 25, world(90, 20)), ("cave", world(10, 60))]
-    figure = maps.worlds_figure([*plans, ("one", world(rooms=np.where(rooms == 4, -1, rooms)))])
-    check_texts(figure)
-    first, second, third, fourth = shown(figure)
-    below = [ax.get_title().split("\n")[-1] for ax in (first, second, third, fourth)]
-    assert below == ["5 m² free, 2 rooms", "16 m² free", "5 m² free", "5 m² free, 1 room"]
-    np.testing.assert_allclose(first.lines[0].get_xydata(), [[0.65, 0.55]])
-    assert not second.lines
-    assert first.get_title().startswith("office#1\n")
 
 
 @pytest.mark.parametrize(("width_m", "length", "said"), [(3.5, 1.0, "1 m"), (29.0, 5.0, "5 m"), (0.4, 0.1, "0.1 m")])

@@ -71,40 +71,6 @@ def test_a_loop_and_nothing(ax):
     np.testing.assert_allclose(loop, [[[1 + picture.STUB_M, 1], [1, 1], [1, 1 + picture.STUB_M]]])
 
 
-def test_the_trail_has_the_colours_of_its_modes(ax):
-    plot_traces.draw_trail(ax, TRAIL, RUN, MODES)
-    pieces = np.stack([TRAIL[:-1, :2], TRAIL[1:, :2]], axis=1)
-    for mode, lines in enumerate(ax.collections):
-        np.testing.assert_array_equal(lines.get_segments(), pieces[RUN[1:] == mode])
-        assert to_rgb(lines.get_colors()[0]) == to_rgb(plot_traces.MODE_COLOURS[mode])
-    assert ax.get_legend_handles_labels()[1] == [*MODES[:3], "start", "end"]
-    start, end = ax.lines
-    assert (start.get_xydata().tolist(), end.get_xydata().tolist()) == ([[0, 0]], [[8, -4]])
-
-
-def test_short_trails(ax):
-    plot_traces.draw_trail(ax, np.zeros((0, 3)), [], MODES)
-    assert not ax.lines
-    plot_traces.draw_trail(ax, np.zeros((1, 3)), [3], MODES)
-    assert ax.get_legend_handles_labels()[1] == [MODES[3], "start", "end"]
-    with pytest.raises(ValueError, match=r"^expected a mode for every pose, got 1 for 2$"):
-        plot_traces.draw_trail(ax, np.zeros((2, 3)), [3], MODES)
-
-
-def test_pitch_is_drawn_over_the_way_driven(ax):
-    line = plot_traces.draw_pitch(ax, COURSE, TRAIL, np.arange(121.0))
-    np.testing.assert_allclose(line.get_xdata(), np.linspace(0, 12, 121), atol=1e-9)
-    np.testing.assert_array_equal(line.get_ydata(), np.arange(121))
-    marks = [float(mark.get_xdata()[0]) for mark in ax.lines[1:]]
-    np.testing.assert_allclose(marks, [0, 4, 8, 12])
-    assert [(text.get_text(), pytest.approx(text.get_position()[0])) for text in ax.texts] == [
-        ("0", 0),
-        ("1", 4),
-        ("2", 8),
-        ("3", 12),
-    ]
-
-
 def test_a_node_is_marked_where_the_way_first_comes_to_it(ax):
     there_and_back = np.concatenate([TRAIL[:81], TRAIL[80::-1] + np.array([0, 0.01, 0]), TRAIL[:81]])
     nodes = (

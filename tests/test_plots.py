@@ -1,21 +1,15 @@
-"""Pictures of comparisons and sweeps: what the artists hold, and that no two texts collide or leave the page."""
-
-import math
-from types import SimpleNamespace
+"""Pictures of comparisons: what the artists hold, and that no two texts collide or leave the page."""
 
 import numpy as np
-import pandas as pd
 import pytest
 from matplotlib.figure import Figure
-from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from ref.figures import check_texts
 from ref.refusals import refused
 from test_over_worlds import episodes, fail
-from test_response import RANGE, sweep
+from test_response import sweep
 
-from jexplore.report.plots import compare, curves, looks, maps
-from jexplore.studies.statistics import by_world, figures, league, response
-from jexplore.worlds.world import World
+from jexplore.report.plots import compare, curves, looks
+from jexplore.studies.statistics import by_world, figures, league
 
 LONG = "decision-theoretic+recheck+segment:samples=500,lam=0.2"
 
@@ -32,39 +26,6 @@ def drawn(worlds, strategies, n=4, seed=0):
 
 def shown(figure):
     return [ax for ax in figure.axes if ax.get_visible()]
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "expected"),
-    [
-        (0.88, 1.13, [0.9, 0.95, 1.0, 1.05, 1.1]),
-        (0.6, 1.7, [0.6, 0.8, 1.0, 1.2, 1.4, 1.6]),
-        (0.45, 4.2, [0.5, 1.0, 2.0]),
-        (0.03, 300.0, [0.1, 1.0, 10.0, 100.0]),
-    ],
-)
-def test_ticks_of_ratios(ax, low, high, expected):
-    looks.ratio_scale(ax, "x", low, high)
-    shown = [tick for tick in ax.get_xticks() if low <= tick <= high]
-    assert shown == pytest.approx(expected)
-    assert ax.xaxis.get_major_formatter()(expected[0], 0) == f"{expected[0]:g}"
-
-
-def test_points_by_hand(ax):
-    estimates = compare.Estimates(np.array([2.0, np.nan]), np.array([1.0, np.nan]), np.array([4.0, np.nan]))
-    style = list(looks.looks_of("ab").values())
-    ended = [np.array([True, False, True]), np.zeros(0, bool)]
-    first, second = compare.draw_points(ax, [[1.0, 2.0, 3.0], []], estimates, style, ended_well=ended)
-    assert second is None
-    assert first.lines[0].get_xydata().tolist() == [[2.0, 0.0]]
-    (segment,) = first.lines[2][0].get_segments()
-    assert segment[:, 0].tolist() == [1.0, 4.0]
-    dots, crosses = ax.lines[:2]
-    assert (dots.get_marker(), crosses.get_marker()) == ("o", "x")
-    assert dots.get_xdata().tolist() == [1.0, 3.0]
-    assert crosses.get_xdata().tolist() == [2.0]
-    assert np.abs(dots.get_ydata()).max() <= 0.3
-    assert ax.yaxis_inverted()
 
 
 def test_ratios_by_hand(ax):
@@ -137,13 +98,6 @@ def test_nothing_to_draw_is_refused():
     refused("one world or more", figures.coverage_figure, {})
 
 
-def test_quartiles_by_hand():
-    """Four episodes, of which one never knew the second share and two never the third."""
-    n = math.nan
-    found = curves.quartiles(np.array([[1, 5, 9], [2, 6, n], [3, 7, 8], [4, n, n]], float))
-    np.testing.assert_array_equal(found, [[1, 5, 8], [2, 6, 9], [3, 7, np.inf]])
-
-
 def test_progress_by_hand(ax):
     progress = np.array([[1.0, 2, 5, np.nan], [2.0, 4, np.nan, np.nan], [3.0, 6, 7, np.nan]])
     line = curves.draw_progress(ax, progress, looks.looks_of("a")["a"])
@@ -181,41 +135,6 @@ def test_coverage_of_what_was_known_at_the_start_and_of_nothing():
     check_texts(figure)
 
 
-def test_response_figure():
-    table = sweep(worlds=("v", "w"), clearances=(0.2, 0.3))
-    figure = figures.response_figure(table, RANGE)
-    axes = shown(figure)
-    found = response.response(table, RANGE)
-    for ax, world in zip(axes, ("v", "w")):
-        assert ax.get_xlabel() == RANGE
-        for bar, name in zip(ax.containers, ("a", "b")):
-            own = found[(found["world"] == world) & (found["strategy"] == name)]
-            np.testing.assert_allclose(bar.lines[0].get_ydata(), own["estimate"])
-            np.testing.assert_allclose(bar.lines[0].get_xdata(), own[RANGE], atol=0.1)
-    assert axes[0].get_ylabel() == "path length (m)"
-    assert figure._suptitle.get_text() == "means over 4 starts and all values of rules.clearance_m, with 95 % intervals"
-    check_texts(figure)
-    many = figures.response_figure(sweep(worlds=("v", "w", "x")), RANGE, over_worlds=True)
-    assert many._suptitle.get_text() == "means over 3 worlds, with 95 % intervals"
-
-
 def test_wrong_settings_are_refused():
     table = sweep()
     refused(r"unknown column of the episodes: .*lidar\.range_m", figures.response_figure, table, "lidar.rang_m")
-
-
-def test_maps_have_a_legend_and_a_scale():
-    """Everything that is drawn is named, and metres can be read off."""
-    plan = World(np.pad(np.zeros((8, 30), bool), 1, constant_values=True), 0.1, name="hall")
-    row = {"world": "hall", "start": 0, "start_row": 2, "start_col": 2, "low_m": 1.0, "high_m": 1.2, "status": "OPEN"}
-    found = SimpleNamespace(
-        worlds=[plan],
-        table=pd.DataFrame([row]),
-        walks=pd.DataFrame({"start": [0, 0, 0], "row": [2, 2, 2], "col": [2, 3, 4]}),
-        witnesses=[np.array([[5, 20]])],
-    )
-    figure = maps.bounds_figure(found)
-    assert [text.get_text().replace("\n", " ") for text in figure.legends[0].get_texts()] == list(maps.BOUND_LABELS)
-    (bar,) = figure.findobj(AnchoredSizeBar)
-    assert bar.txt_label.get_text() == "1 m"
-    check_texts(figure)

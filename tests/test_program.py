@@ -13,7 +13,7 @@ from flax import struct
 from jax import Array
 
 from jexplore.engine.lanes import Group
-from jexplore.engine.program import Line, Program, given_of, split
+from jexplore.engine.program import Line, Program, given_of
 from jexplore.engine.runner import find_resources, run_all
 
 pytestmark = pytest.mark.jit
@@ -130,18 +130,6 @@ def test_arrays_of_a_run_that_is_done_are_kept():
         assert (line.detail == tasks[0]).all()
 
 
-def test_one_run_of_many_can_be_made_alone():
-    whole, _ = run(workers=1)
-    for in_lanes in (False, True):
-        (line, *_) = some_lines()
-        line.which, line.detailed = np.array([7], np.int32), 7
-        run_all([line], find_resources(in_lanes=in_lanes))
-        assert line.finished.tolist() == [i == 7 for i in range(10)]
-        assert line.results["at"][7] == whole[0].results["at"][7]
-        n = int(line.results["n"][7])
-        np.testing.assert_array_equal(line.detail[:n], by_hand(line, 7).way[:n])
-
-
 def test_what_lanes_share_is_not_gathered():
     lines = some_lines()[:2]
     with jax.disable_jit(False):
@@ -152,14 +140,6 @@ def test_what_lanes_share_is_not_gathered():
             jax.make_jaxpr(lambda lanes: group.step(lanes, np.zeros(1, int), runs, True, 9, group.common))(lanes)
         )
     assert not re.search(r"i32\[[128],4\]", text)  # the weights of some lanes, or of all
-
-
-def test_scalars_and_arrays_are_told_apart():
-    numbers = {"a": np.float32(1), "b": np.zeros((2, 2)), "c": (np.int32(3), np.ones(1))}
-    scalars, arrays, join = split(numbers)
-    assert [float(s) for s in scalars] == [1, 3]
-    assert [a.shape for a in arrays] == [(2, 2), (1,)]
-    jax.tree.map(np.testing.assert_array_equal, join(scalars, arrays), numbers)
 
 
 def test_the_program_of_the_examples_runs_on_cores_and_in_lanes():

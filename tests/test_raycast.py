@@ -70,26 +70,6 @@ def test_a_mounted_scanner_as_the_oracle(seed):
 # ---------------------------------------------------------------- by hand
 
 
-def test_one_scan_by_hand():
-    hits, misses = sense(ROOM, 1, 2, 0, RIGHT_ANGLES)
-    assert maps.picture(hits, misses) == [
-        "??#????",
-        "??.????",
-        "??.????",
-        "#.....?",  # ahead the range of 3 cells ends the beam after 3 cells entered
-        "??#????",
-    ]
-    assert hits.max() == 1
-    by_hand = maps.walls("""
-        .......
-        ..#....
-        ..#....
-        .#####.
-        .......
-    """)
-    np.testing.assert_array_equal(misses, by_hand)  # one miss each, the robot's own cell too
-
-
 def test_a_beam_enters_what_lies_nearer_than_the_range_and_nothing_at_it():
     for range_m, cells in ((0.5, 0), (0.51, 1), (1.5, 1), (2.5, 2), (2.51, 3)):
         table = raycast.beam_table(Lidar(n_beams=1, range_m=range_m), 1.0, 9)
@@ -98,24 +78,6 @@ def test_a_beam_enters_what_lies_nearer_than_the_range_and_nothing_at_it():
         np.testing.assert_array_equal(table.entry[0, :cells, 0], 0.5 + np.arange(cells))
         np.testing.assert_array_equal(table.dcol[0, :cells, 0], 1 + np.arange(cells))
         assert not table.dcol[0, cells:, 0].any()
-
-
-def test_angles_by_hand():
-    np.testing.assert_array_equal(raycast.beam_angles_deg(Lidar(n_beams=3, fov_deg=90)), [-45, 0, 45])
-    np.testing.assert_array_equal(raycast.beam_angles_deg(RIGHT_ANGLES), [-180, -90, 0, 90])
-    np.testing.assert_array_equal(raycast.beam_angles_deg(Lidar(n_beams=1)), [0])
-    np.testing.assert_array_equal(raycast.beam_angles_deg(Lidar()), np.arange(181) - 90)
-
-
-def test_directions_are_exact_on_the_lattice():
-    deg = [0, 30, 45, 60, 90, 120, 135, 180, 210, 225, 270, 315, 360, -45, 10]
-    dx, dy = raycast.exact_direction(deg)
-    for angle, x, y in zip(deg, dx, dy):
-        c, s = oracle.direction(angle)
-        assert abs(x - c) < 1e-15
-        assert abs(y - s) < 1e-15
-        if angle % 45 == 0:
-            assert (x, y) == (c, s)
 
 
 # ---------------------------------------------------------------- the oracle
@@ -173,31 +135,7 @@ def test_scans_are_the_oracles(place, lidar):
         np.testing.assert_array_equal(got, want)
 
 
-def test_a_scan_of_default_size_is_the_oracles():
-    occupied, _ = maps.cluttered(5, 40, 50)
-    place = occupied, *np.argwhere(~occupied)[300].tolist(), 3
-    for got, want in zip(sense(*place, Lidar(range_m=4), 0.1), expected(*place, Lidar(range_m=4), 0.1)):
-        np.testing.assert_array_equal(got, want)
-
-
 # ---------------------------------------------------------------- laws
-
-
-@pytest.mark.jit
-def test_rows_of_a_batch_are_independent_and_jit_changes_nothing():
-    table = raycast.beam_table(LIDARS[1], 1.0, ROOM.shape[1])
-    cells = np.argwhere(~ROOM).astype(np.int32)
-    headings = np.arange(len(cells), dtype=np.int32) % 8
-
-    def one(row, col, heading):
-        seen = raycast.scan(jnp.asarray(ROOM), row, col, heading, table)
-        return seen, raycast.fold(empty_grid(ROOM.shape), row, col, heading, seen, table)
-
-    batch = jax.vmap(one)(*cells.T, headings)
-    for i in (0, 5, len(cells) - 1):
-        with jax.disable_jit():
-            alone = one(*cells[i], headings[i])
-        jax.tree.map(lambda many, single, i=i: np.testing.assert_array_equal(many[i], single), batch, alone)
 
 
 def test_nothing_is_counted_when_nothing_is_to_be():

@@ -58,30 +58,6 @@ def test_constants_are_the_oracles():
         assert np.degrees(np.arctan2(drow, dcol)) % 360 == 45 * heading
 
 
-def test_a_room_with_a_wall_by_hand():
-    passable = ~maps.walls("""
-        .....
-        .##..
-        ..#..
-    """)
-    cost = reach(jnp.asarray(passable), 0, 0)
-    assert cost.dtype == jnp.int32
-    assert saturated(cost, jnp.asarray(passable)) == 0
-    by_hand = [
-        [2 * S, 3 * S, 4 * S, 5 * S, 6 * S],
-        [S, FAR, FAR, 6 * S, 5 * S + D],
-        [0, S, FAR, 7 * S, 6 * S + D],
-    ]
-    np.testing.assert_array_equal(cost[::-1], by_hand)
-    east, north, south, southeast, none = 0, 1, 3, 7, -1
-    came = predecessors(cost, jnp.asarray(passable))
-    assert came.dtype == jnp.int8
-    # (1, 4) is entered from (2, 3) diagonally; (0, 4) costs 6 S + D from (1, 4) southwards, or from (1, 3) diagonally:
-    # S comes before SE in the order of motions
-    by_hand = [[north, east, east, east, east], [north, none, none, south, southeast], [none, east, none, south, south]]
-    np.testing.assert_array_equal(came[::-1], by_hand)
-
-
 def test_the_nearest_source_of_a_long_map():
     """Rows that lie further from the first one than any path may be long."""
     free = np.zeros((3968, 32), bool)
@@ -93,20 +69,6 @@ def test_the_nearest_source_of_a_long_map():
     assert set(np.unique(found)) == {-1, 7, 9}
     assert (found[3901, 1], found[3967, 1]) == (7, 9)
     np.testing.assert_array_equal(found >= 0, free)
-
-
-def test_edge_cases():
-    for passable in (np.ones((1, 1), bool), np.zeros((1, 1), bool)):
-        cost = reach(jnp.asarray(passable), 0, 0)
-        assert cost.tolist() == [[0]]
-        assert saturated(cost, jnp.asarray(passable)) == 0
-        assert predecessors(cost, jnp.asarray(passable)).tolist() == [[-1]]
-    cost = reach(jnp.ones((1, 4), bool), 0, 1)
-    assert cost.tolist() == [[S, 0, S, 2 * S]]
-    cost = reach(jnp.ones((4, 1), bool), 3, 0)
-    assert cost.tolist() == [[3 * S], [2 * S], [S], [0]]
-    cost = reach(jnp.zeros((3, 3), bool), 1, 1)  # all wall: the start itself need not be traversable
-    assert cost.tolist() == [[FAR] * 3, [FAR, 0, FAR], [FAR] * 3]
 
 
 def test_a_start_in_a_wall_can_be_left():
@@ -152,34 +114,6 @@ def test_every_route_leads_from_the_start_to_its_target_at_the_exact_cost(place)
         assert total == cost[tuple(target)]
         assert cells == plans.path(pred, (row, col), target)
         assert (route >= 0).sum() == len(cells)  # nothing else was written
-
-
-def test_a_route_from_a_window_by_hand():
-    """Of a 1 x 3 window that begins at (1, 2) of the map."""
-    old = jnp.full((3, 6), 5, jnp.int8)
-    route = lay_route(old, jnp.asarray([[0, S, 2 * S]]), jnp.ones((1, 3), bool), (1, 2), (1, 4), (1, 2))
-    np.testing.assert_array_equal(route, [[5] * 6, [5, 5, 0, 0, 5, 5], [5] * 6])
-
-
-def test_rows_of_a_batch_are_independent():
-    passable = jnp.asarray(np.random.default_rng(5).random((3, 7, 9)) < [[[0.6]], [[0.9]], [[1.0]]])
-    rows, cols = jnp.asarray([0, 3, 6]), jnp.asarray([0, 4, 8])
-    goals = jnp.zeros((3, 7, 9), bool).at[:, 5, 5].set(True)
-
-    def one(passable, goals, row, col):
-        cost = reach(passable, row, col)
-        return (
-            cost,
-            saturated(cost, passable),
-            predecessors(cost, passable),
-            _limited(passable, goals, row, col, FAR),
-            bits.unpack(flood(bits.pack(passable), row, col), 7),
-        )
-
-    batch, by_itself = jax.jit(jax.vmap(one))(passable, goals, rows, cols), jax.jit(one)
-    for i in range(3):
-        alone = by_itself(passable[i], goals[i], rows[i], cols[i])
-        jax.tree.map(lambda many, single, i=i: np.testing.assert_array_equal(many[i], single), batch, alone)
 
 
 def test_costs_saturate_below_far_and_are_counted():
@@ -231,24 +165,6 @@ def test_costs_are_final_up_to_the_limit_and_the_cheapest_goals(place, seed, ste
         np.testing.assert_array_equal(flat_predecessors(came)[final], pred[final])
 
 
-def test_costs_do_not_end_at_a_goal_that_it_has_met_but_not_settled():
-    """Four diagonal motions cost more than five straight ones would."""
-    goals = np.zeros((6, 6), bool)
-    goals[4, 4] = goals[0, 5] = True
-    cost = limited(np.ones((6, 6), bool), goals, 0, 0, FAR)
-    assert (cost[4, 4], cost[0, 5]) == (4 * D, 5 * S)
-
-
-def test_goals_of_equal_cost_are_all_final():
-    """Two goals at the same cost, one of which the first sweeps reach by a longer way."""
-    rows = ["..#....", "..#.##.", "..#.#..", "..#.#.#", "....#..", ".####..", "......."]
-    passable = np.array([[c == "." for c in row] for row in rows])
-    exact = np.asarray(reach(jnp.asarray(passable), 0, 0))
-    for cost in np.unique(exact[exact < FAR]):
-        goals = exact == cost
-        np.testing.assert_array_equal(limited(passable, goals, 0, 0, FAR)[goals], cost)
-
-
 @pytest.mark.parametrize("turns", range(4))
 @pytest.mark.parametrize("wide", [1, 3])
 def test_a_goal_behind_a_wall_is_found_however_far_the_way_round_is(turns, wide):
@@ -285,14 +201,6 @@ def test_a_flood_over_several_words_is_scipys_group(seed, share, shape):
     passable[row, col] = True
     groups, _ = ndimage.label(passable)
     np.testing.assert_array_equal(flooded(jnp.asarray(passable), row, col), groups == groups[row, col])
-
-
-def test_a_flood_has_no_limit_of_cost_and_keeps_its_start():
-    winding = np.ones((183, 183), bool)  # one corridor that turns back and forth
-    winding[1::4, :-1], winding[3::4, 1:] = False, False
-    assert winding.sum() > FAR // STRAIGHT  # longer than any cost
-    np.testing.assert_array_equal(flooded(jnp.asarray(winding), 0, 0), winding)
-    assert np.argwhere(flooded(jnp.zeros((3, 3), bool), 1, 2)).tolist() == [[1, 2]]
 
 
 # ---------------------------------------------------------------- nearest source

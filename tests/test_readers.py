@@ -355,14 +355,6 @@ def test_ros_raw_is_the_value_itself(tmp_path):
     assert read_ros(path)[0].tolist() == [[0, 100]]  # as nav2: raw does not negate
 
 
-def test_ros_colours_count_by_their_luma(tmp_path):
-    """0.299 red, 0.587 green, 0.114 blue: yellow is 226, green 150, red 76, blue 29."""
-    path = ros_map(tmp_path, [[[255, 255, 0], [0, 255, 0], [255, 0, 0], [0, 0, 255]]], "png")
-    assert read_ros(path)[0].tolist() == [[0, -1, 100, 100]]  # p = 0.11, 0.41, 0.70, 0.89
-    ros_map(tmp_path, [[[100, 100, 100], [0, 0, 255]]], "png", mode="raw")
-    assert read_ros(path)[0].tolist() == [[100, 29]]
-
-
 @pytest.mark.parametrize("alpha", [0, 128, 254])
 def test_ros_pixels_that_are_not_opaque_are_unknown(tmp_path, alpha):
     levels = np.zeros((1, 4, 4))
@@ -408,22 +400,6 @@ def test_a_mask_of_0_and_1_in_mode_raw_has_no_wall_and_is_refused(tmp_path):
     path = ros_map(tmp_path, [[0, 255]], mode="raw")
     with pytest.warns(InputWarning, match="in mode raw black is free and white unknown"):
         assert load_ros(path).occupied.tolist() == [[0, 1]]
-
-
-@pytest.mark.parametrize(
-    ("key", "text", "value"),
-    [
-        *(("resolution_m", text, value) for text, value in (("1e-1", 0.1), ("'0.5'", 0.5), ("4:30", None))),
-        *(("negate", word, value) for word, value in (("yes", 1), ("On", 1), ("no", 0), ("n", 0), ("true", 1))),
-    ],
-)
-def test_values_are_those_of_yaml_1_2_and_the_map_server(tmp_path, key, text, value):
-    path = ros_map(tmp_path, [[254]], **{key.removesuffix("_m"): "HERE"})
-    path.write_text(path.read_text().replace("HERE", text))
-    if value is None:
-        refused(f"resolution must be a number .* got '{text}'", read_ros, path)
-    else:
-        assert getattr(read_ros(path)[1], key) == value
 
 
 @pytest.mark.parametrize("yaw", [0, 1e-6, -2 * math.pi])
@@ -555,19 +531,6 @@ def plan(path, verts, rooms=None, **more):
     keys = {"id": "0", "room_num": 1, "bbox": {"min": low, "max": high}, "verts": verts, "room_category": rooms or {}}
     path.write_text(json.dumps(keys | more))
     return path
-
-
-def test_houseexpo_by_pencil(tmp_path):
-    square = [[1.0, 2.0], [1.55, 2.0], [1.55, 2.35], [1.0, 2.35]]
-    world = load_world(plan(tmp_path / "p.json", square))
-    inside = np.ones((4, 6), bool)
-    inside[1:3, 1:5] = False
-    assert np.array_equal(world.occupied, inside)
-    assert world.origin_m == (1.0, 2.0)
-    assert world.rooms is None
-    closed = load_world(plan(tmp_path / "p.json", [*square, square[0]]))
-    assert np.array_equal(closed.occupied, inside)
-    assert np.array_equal(load_world(plan(tmp_path / "p.json", square[::-1])).occupied, inside)
 
 
 def test_houseexpo_rooms_are_the_boxes(tmp_path):

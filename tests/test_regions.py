@@ -7,11 +7,9 @@ import pytest
 from PIL import Image
 from ref.refusals import refused
 
-import jexplore as jx
 from jexplore.config import InputError, InputWarning
 from jexplore.rules import Rules
 from jexplore.studies.checks import ready_starts
-from jexplore.studies.segmentation import prepare_maps
 from jexplore.worlds import load_world
 from jexplore.worlds.regions import inside, warn_of_floor, warn_of_outside
 from jexplore.worlds.starts import draw_starts, start_region
@@ -131,19 +129,6 @@ def test_columns_and_furniture_in_outline_are_no_inside():
     assert not warn_of_outside(world, start_region(world, 0.3))
     world = occupancy_to_world(house(), name="mine")  # and the outside is no floor of a building that one starts in
     assert ready_starts(world, (40, 40, 0), 1, seed=0, rules=Rules()).tolist() == [[40, 40, 0]]  # warns of nothing
-
-
-def test_segment_says_that_it_counts_the_outside(tmp_path):
-    name = on_paper(tmp_path / "house.png", house())
-    with pytest.warns(InputWarning, match="robots start outside"):
-        prepare_maps(name, None, "voronoi", CELL_M)
-    (world,) = prepare_maps(f"{name}:inside=true", None, "voronoi", CELL_M)
-    assert (~world.occupied).sum() == 28 * 58
-
-
-def test_an_environment_says_so_too():
-    with pytest.warns(InputWarning, match="robots start outside"):
-        jx.Environment(occupancy_to_world(house(), name="mine"))
 
 
 def closed_room():

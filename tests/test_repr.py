@@ -69,24 +69,6 @@ def test_a_world_on_its_way_through_jax_is_told_in_one_line():
 # --- trace maps
 
 
-def test_a_trace_map_by_pencil():
-    nodes = (Node(0, 0.0, 0.0, "terminal"), Node(1, 4.0, 0.0, "divergence"))
-    links = (Link(0, 0, 1, "searched", 0.0, 180.0, 4.0), Link(1, 1, -1, "un-searched", 270.0))
-    found = BtmMap(nodes, links)
-    assert repr(found) == "<BtmMap of 2 nodes and 2 links, 1 of them searched>"
-    png, table, caption = shown(found._repr_html_())
-    assert png == found._repr_png_()
-    assert caption == repr(found)[1:-1]
-    assert table == [
-        *("", "what", "how many"),
-        *("□", "terminal", "1"),
-        *("○", "divergence", "1"),
-        *("—", "searched link, 4.0 m in all", "1"),
-        *("╌", "un-searched link", "1"),
-    ]
-    assert (pixels(png).min(axis=-1) < 100).any()  # something is drawn
-
-
 def test_a_loop_and_an_empty_map():
     image = pixels(CRAWLER._repr_png_())
     assert max(image.shape) <= pictures.LONG_PX + 2
@@ -129,34 +111,6 @@ def test_an_episode_shows_itself(episode):
     assert caption == f"episode 0 of seed 2, from row {row}, col {col}, heading {heading_deg}°"
     assert len(np.unique(pixels(png).reshape(-1, 3), axis=0)) > 20
     assert len(png) < 40_000
-
-
-def test_a_comparison_shows_itself(comparison):
-    png, table, caption = shown(comparison._repr_html_())
-    assert png == comparison._repr_png_()
-    assert caption == "Comparison of 2 strategies in 1 world, 6 episodes"
-    lines = [table[i : i + 8] for i in range(0, len(table), 8)]
-    assert lines[0][:4] == ["world", "strategy", "n", "path m"]
-    assert [line[1] for line in lines[1:]] == ["closest", "closest+recheck"]
-    for line, (_, row) in zip(lines[1:], comparison.summary.iterrows()):
-        assert line[3] == f"{row['mean']:.2f} ± {row['sd']:.2f}"
-        assert line[4].startswith(f"{row['ratio']:.3f}")
-        assert line[7] == "COMPLETE 3"
-
-
-def test_a_comparison_of_many_worlds_shows_what_they_say_together(comparison):
-    import pandas as pd
-
-    tables = [comparison.episodes.assign(world=f"room#{i}") for i in range(20)]
-    worlds = tuple(two_rooms(f"room#{i}") for i in range(20))
-    many = dataclasses.replace(
-        comparison, episodes=pd.concat(tables, ignore_index=True), worlds=worlds, details=pd.DataFrame()
-    )
-    _, table, caption = shown(many._repr_html_())
-    assert caption == "Comparison of 2 strategies in 20 worlds, 120 episodes"
-    assert table[:4] == ["strategy", "ratio to the reference", "p (Holm)", "best in"]
-    assert set(table[4::4]) == {"closest", "closest+recheck"}
-    assert all(text.endswith(" of 20") for text in table[7::4])
 
 
 def test_what_cannot_be_drawn_falls_back_to_text(episode, comparison):

@@ -11,11 +11,6 @@ from jexplore.grid import Grid, is_free, is_known
 from jexplore.rules import Robot
 
 
-def test_path_by_hand():
-    assert results.path_m(3, 2, 0.5) == pytest.approx((3 + 2 * math.sqrt(2)) / 2, rel=1e-15)
-    assert results.path_m([0, 10], [0, 0], 0.1).tolist() == [0.0, 1.0]
-
-
 def test_length_along_a_way_by_hand():
     # East, north-east, and then nothing but the start of another way.
     along = results.length_along_m(np.array([5, 5, 6]), np.array([1, 2, 3]), 2.0)

@@ -1,4 +1,4 @@
-"""Scores of room segmentations: by hand, against literal loops, by laws, and on bad input."""
+"""Scores of room segmentations: by hand, against literal loops, and on bad input."""
 
 import itertools
 import math
@@ -28,40 +28,11 @@ def image(text):
     return np.array([[-1 if mark == "." else int(mark) for mark in row] for row in text.split()])
 
 
-def entropy(*shares):
-    return -sum(share * math.log2(share) for share in shares)
-
-
 def test_rooms_by_hand():
     free = image("1.11 1.1. .1.1 11.1") == 1  # touching at a corner does not connect
     np.testing.assert_array_equal(rooms_of(free, min_px=0), image("0.11 0.1. .2.3 22.3"))
     np.testing.assert_array_equal(rooms_of(free, min_px=2), image("..00 ..0. .1.. 11.."))  # 2 pixels are dropped
     assert rooms_of(free).dtype == np.int32
-
-
-def test_score_by_hand():
-    found = score(image("000111 000111"), image("00111. 001112"))
-    # Overlaps, with regions down and rooms across; sizes are 4, 6, 1 and 6, 6; 11 pixels have both labels.
-    #   4 0
-    #   2 4
-    #   0 1
-    # Matched: 0 with 0: tp 4, fp 0, fn 2, tn 5; 1 with 1: tp 4, fp 2, fn 2, tn 3; 2 with none.
-    assert found == {
-        "mcc": pytest.approx((20 / math.sqrt(4 * 6 * 5 * 7) + (12 - 4) / math.sqrt(6 * 6 * 5 * 5)) / 3),
-        "precision_room": pytest.approx((1 + 4 / 6 + 1) / 3),
-        "recall_room": pytest.approx((4 / 6 + 4 / 6) / 2),
-        "precision_pixel": pytest.approx((4 + 4 + 1) / 11),
-        "recall_pixel": pytest.approx((4 + 4) / 12),
-        "iou_predicted": pytest.approx((4 / 6 + 4 / 8 + 1 / 6) / 3),
-        "iou_truth": pytest.approx((4 / 6 + 4 / 8) / 2),
-        "rooms": 3,
-        "rooms_truth": 2,
-        "room_count_error": 1,
-        # which region, given a room: 4 to 2 of 6 pixels, 4 to 1 of 5; which room, given a region: 2 to 4 of 6
-        "variation_of_information": pytest.approx((12 * entropy(1 / 3, 2 / 3) + 5 * entropy(1 / 5, 4 / 5)) / 11),
-    }
-    kinds = {type(found[name]) for name in ("rooms", "rooms_truth", "room_count_error")}
-    assert (kinds, {type(found[name]) for name in (*AGREEMENT, "variation_of_information")}) == ({int}, {float})
 
 
 @pytest.mark.parametrize(("truth", "predicted", "value"), [("..", "..", 1.0), ("00", "..", 0.0), ("..", "01", 0.0)])

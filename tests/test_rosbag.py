@@ -11,64 +11,36 @@ from jexplore.config import InputError, InputWarning
 from jexplore.worlds import load_world
 from jexplore.worlds.readers.bags import load_bag, read_bag
 
-rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="rosbags is not installed (the extra ros)")
-rosbag2 = pytest.importorskip("rosbags.rosbag2")
-typesys = pytest.importorskip("rosbags.typesys")
+bags = pytest.importorskip("ref.bags")
 
-GRID = "nav_msgs/msg/OccupancyGrid"
+GRID, TEXT = "nav_msgs/msg/OccupancyGrid", "std_msgs/msg/String"
 MAP = np.array([[0, 25, -1], [0, 100, 65]])
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 
 
-def message(store, occupancy, *, resolution=0.05, origin=(1.0, 2.0), turn=LEVEL, values=None):
-    """A message nav_msgs/OccupancyGrid in the types of a store."""
+def write(path, topics, *, resolution=0.05, origin=(1.0, 2.0), turn=LEVEL, values=None):
+    """A recording: topic -> occupancies, or texts, one a second; the path of the file that was written."""
+    store = bags.ROS1 if path.suffix == ".bag" else bags.ROS2
 
-    def make(name, **fields):
-        return store.types[name](**fields)
+    def message(occupancy):
+        occupancy = np.asarray(occupancy)
+        height, width = occupancy.shape
+        told = {
+            **{f"info__origin__position__{axis}": value for axis, value in zip("xy", origin)},
+            **{f"info__origin__orientation__{axis}": value for axis, value in zip("xyzw", turn)},
+        }
+        data = np.asarray(occupancy.ravel() if values is None else values, np.int8)
+        return bags.make(
+            store, GRID, info__resolution=resolution, info__width=width, info__height=height, data=data, **told
+        )
 
-    time = make("builtin_interfaces/msg/Time", sec=1, nanosec=0)
-    seq = {"seq": 0} if "seq" in store.types["std_msgs/msg/Header"].__dataclass_fields__ else {}
-    header = make("std_msgs/msg/Header", stamp=time, frame_id="map", **seq)
-    point = make("geometry_msgs/msg/Point", x=origin[0], y=origin[1], z=0.0)
-    x, y, z, w = turn
-    pose = make(
-        "geometry_msgs/msg/Pose", position=point, orientation=make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
-    )
-    occupancy = np.asarray(occupancy)
-    height, width = occupancy.shape
-    info = make(
-        "nav_msgs/msg/MapMetaData", map_load_time=time, resolution=resolution, width=width, height=height, origin=pose
-    )
-    data = occupancy.ravel() if values is None else values
-    return make(GRID, header=header, info=info, data=np.asarray(data, np.int8))
-
-
-def text(store, said):
-    return store.types["std_msgs/msg/String"](data=said)
-
-
-def write(path, topics, **changes):
-    """A recording: topic -> occupancies, or texts, one a second.
-
-    Returns:
-      The path of the file that was written.
-    """
-    store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC if path.suffix == ".bag" else typesys.Stores.ROS2_HUMBLE)
-    if path.suffix == ".bag":
-        writer, serialise, file = rosbag1.Writer(path), store.serialize_ros1, path
-    else:
-        folder = path.with_suffix("")
-        plugin = rosbag2.StoragePlugin.MCAP if path.suffix == ".mcap" else rosbag2.StoragePlugin.SQLITE3
-        writer, serialise = rosbag2.Writer(folder, version=9, storage_plugin=plugin), store.serialize_cdr
-        file = folder / path.name
-    with writer:
-        for topic, contents in topics.items():
-            kind = "std_msgs/msg/String" if contents and isinstance(contents[0], str) else GRID
-            connection = writer.add_connection(topic, kind, typestore=store)
-            for second, content in enumerate(contents):
-                own = text(store, content) if kind != GRID else message(store, content, **changes)
-                writer.write(connection, second * 10**9, serialise(own, kind))
-    return file
+    made = {}
+    for topic, contents in topics.items():
+        if contents and isinstance(contents[0], str):
+            made[topic] = TEXT, [bags.make(store, TEXT, data=said) for said in contents]
+        else:
+            made[topic] = GRID, [message(occupancy) for occupancy in contents]
+    return bags.write(path, made)
 
 
 @pytest.fixture(params=["a.bag", "a.mcap"])

@@ -91,21 +91,6 @@ def test_ways_are_counted_counter_clockwise_from_the_way_in():
     assert (onward.link, onward.bearing_deg, onward.turn_deg, onward.way, onward.ways) == (5, 0.0, 180.0, 3, 3)
 
 
-def test_the_table_by_hand():
-    route = jx.btm.route(SQUARE, "wheeled", 3, "unsearched")
-    rows = [line.strip("|").split("|") for line in trace_tables.route_table(route).splitlines()]
-    assert [cell.strip() for cell in rows[2]] == [*"1232", "5.00", "–", "–", "0", "1.00", "0.000", "1.0", "1.0"]
-    assert [cell.strip() for cell in rows[3]] == ["2", "5", "2", "–", "–", "3 of 3", "180", "0", "0.80", *"–––"]
-    assert rows[-1] == [
-        "wheeled, node 3 to un-searched link 5 of node 2, bearing 0 deg: 5.00 m over 1 link, narrowest 0.80 m, "
-        "highest step 0.000 m, steepest 1.0 deg, largest roll 1.0 deg"
-    ]
-    nearly = changed(SQUARE, 0, start_bearing_deg=-0.01)
-    assert " 360 " not in trace_tables.route_table(jx.btm.route(nearly, "wheeled", 0, 1))
-    here = trace_tables.route_table(jx.btm.route(SQUARE, "wheeled", 3, 3))
-    assert here == "wheeled, node 3 to node 3: 0.00 m over 0 links"
-
-
 @pytest.mark.parametrize(
     ("measures", "reasons"),
     [
@@ -249,21 +234,6 @@ def test_what_is_not_known_is_told_or_refused():
     assert jx.btm.route(last, "wheeled", 0, 1).unknown == ()  # it stops before the stairs
     assert jx.btm.route(last, "wheeled", 0, "unsearched").unknown == ("node 1: step unknown",)
     assert jx.btm.route(SQUARE, "wheeled", 0, 2, known_only=True) == jx.btm.route(SQUARE, "wheeled", 0, 2)
-
-
-def test_the_nearest_unsearched_link():
-    btm = dataclasses.replace(SQUARE, links=(*SQUARE.links, stub(9, 3, 180.0), stub(8, 3, 135.0)))
-    route = jx.btm.route(btm, "wheeled", 0, "unsearched")  # 3 is 6 m away, 2 is 10 m
-    assert (route.nodes, route.links, route.length_m, route.end) == ((0, 3), (3,), 6.0, 3)
-    assert (route.onward.link, route.onward.bearing_deg) == (8, 135.0)  # the lower of two
-    assert route.unknown == ("link 8 (node 3, un-searched): opening unknown",)
-    assert repr(route) == "<Route of wheeled: 0 - 3 - ?, 1 link, 6.00 m, 1 unknown>"
-    assert jx.btm.route(btm, "wheeled", 3, "unsearched").links == ()
-    wide = jx.btm.route(btm, "wheeled:width_m=0.9", 1, "unsearched")  # link 5 opens 0.8 m
-    assert wide.refused == ((4, ("step 0.15 m > 0.03 m",)), (5, ("opening 0.8 m < 0.9 m",)))
-    assert (wide.end, wide.length_m) == (3, 10.0)
-    shut = btm.with_attributes({"blocked": True}, link=8).with_attributes({"blocked": True}, link=9)
-    assert jx.btm.route(shut, "wheeled", 0, "unsearched").onward.link == 5
 
 
 def test_an_unsearched_link_beyond_a_step_is_refused_with_the_step():
@@ -494,24 +464,3 @@ def test_without_a_route_the_command_ends_with_1_and_all_reasons(saved, capsys):
 )
 def test_bad_input_of_the_command_is_one_line(words, message, saved, refuses):
     refuses(["route", *words.split()], message)
-
-
-@pytest.mark.parametrize("robot", ["kamui", "wheeled"])
-def test_the_picture_shows_the_route_and_what_is_refused(robot):
-    from matplotlib.collections import LineCollection
-    from matplotlib.colors import to_rgb
-
-    from jexplore.report import plot_traces
-
-    btm = line(None, ("stairs", 0.15), None, max_step_m=0.1)
-    route = jx.btm.route(btm, robot, 0, 2)
-    ax = plot_traces.trace_figure(btm, None, np.zeros((0, 3)), None, [], [], route=route).axes[0]
-    band = [c for c in ax.collections if isinstance(c, LineCollection) and c.get_linewidth()[0] == 7]
-    red = [mark for mark in ax.lines if to_rgb(mark.get_markeredgecolor()) == to_rgb(plot_traces.REFUSED)]
-    if robot == "kamui":
-        np.testing.assert_allclose(band[0].get_segments(), [[(0, 0), (5, 0)], [(5, 0), (10, 0)]])
-        assert red == []
-    else:
-        assert band == []
-        crosses, rings = (np.transpose(mark.get_data()).tolist() for mark in red)
-        assert (crosses, rings) == ([[2.5, 0.0], [7.5, 0.0]], [[5.0, 0.0]])

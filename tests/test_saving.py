@@ -2,7 +2,6 @@
 
 import json
 import pickle
-import time
 
 import numpy as np
 import pandas as pd
@@ -13,7 +12,7 @@ import jexplore as jx
 from jexplore.cli import main
 from jexplore.config import InputError
 from jexplore.studies import comparison
-from jexplore.studies.results import progress, units
+from jexplore.studies.results import units
 
 pytestmark = pytest.mark.jit
 WORLD, STRATEGIES = "rooms:width_m=5,height_m=5", ["closest", "random+recheck"]
@@ -148,20 +147,3 @@ def test_results_are_iterated_over_by_strategy(found):
         assert made[name].index.tolist() == list(range(16))
     with pytest.raises(InputError, match="did you mean 'closest'"):
         made["cloest"]
-
-
-def test_a_bar_shows_what_is_done(capsys):
-    told = []
-    with progress.progress_bar(True, 5, "episodes", told.append) as moved:
-        assert moved is not None
-        moved(2)
-        time.sleep(0.2)  # a bar is drawn ten times a second at most
-        moved(5)
-    assert told == [2, 5]
-    said = capsys.readouterr().err
-    assert "compiling:   0%" in said
-    assert "5/5 episodes" in said
-    for wanted in (None, False):  # this is no notebook
-        with progress.progress_bar(wanted, 5, "episodes", told.append) as moved:
-            assert moved == told.append
-    assert capsys.readouterr().err == ""

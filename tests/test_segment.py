@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from ref import maps, rooms
 from skimage import morphology
 
-from jexplore.segment import MAX_HOPS, Form, borders, criteria, critical_points, form_for, merged, segment
+from jexplore.segment import MAX_HOPS, Form, borders, criteria, critical_points, merged, segment
 from jexplore.skeleton import graph
 
 pytestmark = pytest.mark.jit
@@ -34,94 +34,11 @@ def parts(text):
     return np.pad(label, ((0, height), (0, width)), constant_values=-1)
 
 
-def check(text, criteria):
-    """Asserts that free space, drawn as letters, falls into the parts that the letters say."""
-    expected = parts(text)
-    found = segment(jnp.asarray(expected >= 0), criteria, form=FORM)
-    label = np.asarray(found.label)
-    assert found.label.dtype == jnp.int32
-    assert int(found.overflow) == 0
-    assert rooms.same_partition(label, expected), maps_of(label)
-    return found
-
-
-def maps_of(label):
-    """A label map as drawn, top row first."""
-    return "\n".join("".join("#" if i < 0 else chr(ord("a") + i % 26) for i in row) for row in label[::-1])
-
-
 def cells_of(flat, width):
     return [divmod(int(i), width) for i in flat]
 
 
 # ---------------------------------------------------------------- by hand
-
-TWO_ROOMS = """
-    #################
-    #bbbbbbb#aaaaaaa#
-    #bbbbbbb#aaaaaaa#
-    #bbbbbbbaaaaaaaa#
-    #bbbbbbbaaaaaaaa#
-    #bbbbbbbaaaaaaaa#
-    #bbbbbbb#aaaaaaa#
-    #bbbbbbb#aaaaaaa#
-    #################
-"""
-
-
-@pytest.mark.parametrize("variant", MAX_HOPS)
-def test_two_rooms_and_a_door_by_hand(variant):
-    """The door's cells are as far from either side's seed: they go to the first, which lies to the east."""
-    found = check(TWO_ROOMS, criteria(variant))
-    assert int(found.count) == 1
-    assert np.flatnonzero(found.critical).size == 1
-    assert cells_of(found.graph.cell[found.critical], 23) == [(4, 8)]
-    assert cells_of(found.seed[:2], 23) == [(4, 9), (4, 7)]
-    assert found.seed[2:].tolist() == [11 * 23] * 126
-    assert found.split_d2.tolist() == [4] + [0] * 63
-    assert found.group.tolist() == list(range(128))
-
-
-def test_a_room_without_a_door_is_no_segment():
-    free = np.zeros(SHAPES[0], bool)
-    free[1:-1, 1:-1] = True
-    found = segment(jnp.asarray(free), criteria("thrun"), form=FORM)
-    assert int(found.count) == 0
-    assert not found.critical.any()
-    assert (np.asarray(found.label) == -1).all()
-    assert (np.asarray(found.seed) == free.size).all()
-
-
-def test_what_no_seed_reaches_is_no_segment():
-    drawn = parts(TWO_ROOMS)
-    free = drawn >= 0
-    free[1:9, 18:22] = True
-    expected = np.where(drawn >= 0, drawn, -1)
-    assert rooms.same_partition(segment(jnp.asarray(free), criteria(), form=FORM).label, expected)
-
-
-CORRIDOR = """
-    #######################
-    #aaaaaaaaaa#cccccccccc#
-    #aaaaaaaaaa#cccccccccc#
-    #aaaaaaaaaa#cccccccccc#
-    #aaaaaaaaaa#cccccccccc#
-    #aaaaaaaaaa#cccccccccc#
-    ####aaa########ccc#####
-    #bbbbbbbbbbbbbbbbbbbbb#
-    #bbbbbbbbbbbbbbbbbbbbb#
-    #bbbbbbbbbbbbbbbbbbbbb#
-    #######################
-"""
-
-
-def test_a_corridor_with_two_rooms_by_hand():
-    found = check(CORRIDOR, criteria(prominence=0.2))
-    # seeds 1 and 3 both lie in the corridor, where their segments touch
-    assert found.group[:4].tolist() == [0, 1, 2, 1]
-    # the junctions before the doors are hardly wider than the doors
-    free = found.label >= 0
-    assert int(segment(free, criteria(prominence=0.3), form=FORM).count) == 0
 
 
 RING = """
@@ -137,16 +54,6 @@ RING = """
     ######bbbbbbbbbbb######
     #######################
 """
-
-
-def test_a_ring_has_no_junction():
-    """Its narrow places are critical points for Thrun alone."""
-    free = parts(RING) >= 0
-    for variant in ("wurm", "holz"):
-        assert int(segment(jnp.asarray(free), criteria(variant, prominence=0.5), form=FORM).count) == 0
-    found = check(RING, criteria("thrun", prominence=0.5))
-    assert set(np.asarray(found.graph.degree).tolist()) == {0, 2}
-    assert cells_of(found.graph.cell[found.critical], 23) == [(3, 6), (3, 15), (7, 6), (7, 15)]
 
 
 # ---------------------------------------------------------------- critical points
@@ -247,26 +154,6 @@ def test_segments_are_the_oracles(free, chosen):
 # ---------------------------------------------------------------- laws
 
 
-@pytest.mark.slow
-def test_rows_of_a_batch_are_independent():
-    """Maps and criteria at once: numbers may be swept without compiling anew."""
-    chosen = [
-        {"variant": "thrun", "prominence": 0.0, "gamma": 1.0},
-        {"variant": "wurm", "prominence": 0.0, "gamma": 1.0},
-        {"variant": "holz", "prominence": 0.5, "gamma": 2.0},
-        {"variant": "thrun", "prominence": 0.5, "gamma": 3.0},
-    ]
-    each = [criteria(**case) for case in chosen]
-    free = [rooms.walled(np.random.default_rng(1), *SHAPES[0])] * 2
-    free = jnp.asarray([*free, parts(RING) >= 0, np.zeros(SHAPES[0], bool)])
-    many = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
-    batch = jax.jit(jax.vmap(functools.partial(segment, form=FORM)))(free, many)
-    assert len(set(batch.count.tolist())) > 2
-    for i, one in enumerate(each):
-        alone = segment(free[i], one, form=FORM)
-        jax.tree.map(lambda a, b, i=i: np.testing.assert_array_equal(a[i], b), batch, alone)
-
-
 TINY = Form(nodes=14, splits=2)
 
 
@@ -290,13 +177,6 @@ def test_maps_without_free_space():
     found = segment(jnp.zeros(SHAPES[0], bool), criteria("thrun", prominence=0.0), form=FORM)
     assert (np.asarray(found.label) == -1).all()
     assert (int(found.count), int(found.overflow)) == (0, 0)
-
-
-def test_a_form_for_a_map():
-    assert form_for((64, 64)) == Form(768, 64)
-    assert form_for((160, 160)) == Form(3328, 64)
-    assert form_for((160, 160), coarse=True) == Form(6400, 266)
-    assert form_for((1000, 1100)) == Form(137728, 1024)
 
 
 # ---------------------------------------------------------------- bad input

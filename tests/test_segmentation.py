@@ -1,15 +1,13 @@
-"""Maps divided into rooms and scored: the command, the table, the pictures, refusals."""
+"""Maps divided into rooms and scored: the command, the table, refusals."""
 
 import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
-from ref.figures import check_texts
 from ref.refusals import refused
 
 from jexplore.cli import main
 from jexplore.config import InputError
-from jexplore.report.plots.maps import rooms_figure
 from jexplore.studies.room_variants import ROOM_VARIANTS
 from jexplore.studies.segmentation import SCORE_COLUMNS, segment_maps
 from jexplore.worlds.world import occupancy_to_world
@@ -94,24 +92,6 @@ def test_a_picture_that_is_open_at_its_edge_is_scored(tmp_path, open_in):
     scores = segment_maps(f"{names[0]}@0.05", truth=names[1], variants="holz").scores
     assert scores["rooms_truth"].tolist() == [2]
     assert scores["mcc"].iloc[0] > 0.97
-
-
-def test_the_picture(pictures, tmp_path):
-    found = segment_maps(pictures[0], truth=[pictures[1]], variants=["voronoi", "holz"])
-    page = rooms_figure(found.pictures, found.scores)
-    titles = [ax.get_title() for ax in page.axes]
-    assert len(titles) == 2
-    assert "holz: 2 rooms, MCC" in titles[1]
-    assert "doors: 0 missed, 0 too many" in titles[0]
-    for ax, dots in zip(page.axes, (0, 1)):
-        assert [len(line.get_xdata()) for line in ax.lines][-4:] == [dots, 1, 0, 0]
-        found_at = ax.lines[-3]
-        np.testing.assert_allclose([found_at.get_xdata()[0], found_at.get_ydata()[0]], [2.1, 1.05], atol=0.15)
-    said = [text.get_text() for text in page.legends[0].get_texts()]
-    assert said == ["wall or unknown", "floor of no room", "door found", "Voronoi graph", "critical point"]
-    check_texts(page)
-    plain = rooms_figure(found.pictures[:1], found.scores[:1])
-    assert [text.get_text() for text in plain.legends[0].get_texts()] == said[:3]
 
 
 def test_the_command(pictures, tmp_path, capsys):

@@ -49,39 +49,6 @@ VORONOI = jax.jit(graph_of, static_argnames="size")
 # ---------------------------------------------------------------- medial axis
 
 
-def test_the_axis_of_a_cross_by_hand():
-    cross = ~maps.walls("""
-        .........
-        ...###...
-        ...###...
-        .#######.
-        .#######.
-        .#######.
-        ...###...
-        ...###...
-        .........
-    """)
-    expected = maps.walls("""
-        .........
-        .........
-        ....#....
-        ....#....
-        ..#####..
-        ....#....
-        ....#....
-        .........
-        .........
-    """)
-    np.testing.assert_array_equal(axis(jnp.asarray(cross), jnp.float32(2.5)), expected)
-    # The crossing sees four corners; it is linked to four arms.
-    found = GRAPH(jnp.asarray(expected), nearest_offset(jnp.asarray(cross))[0], size=12)
-    assert found.degree.tolist() == [1, 2, 1, 2, 4, 2, 1, 2, 1, 0, 0, 0]
-    assert found.cell.tolist() == [22, 31, 38, 39, 40, 41, 42, 49, 58, 81, 81, 81]
-    assert found.d2.tolist() == [4, 5, 4, 5, 8, 5, 4, 5, 4, 0, 0, 0]
-    assert found.link[4].tolist() == [5, 7, 3, 1, 12, 12, 12, 12]
-    assert int(found.overflow) == 0
-
-
 @given(masks().map(lambda m: m & np.roll(m, 1)) | masks(), st.sampled_from((1.0, 1.5, 2.0, 3.0)))
 @settings(max_examples=25, deadline=None)
 def test_an_axis_lies_between_obstacles_that_are_apart(obstacle, gamma):
@@ -151,9 +118,3 @@ def test_maps_without_an_axis(shape):
         assert not found.degree.any()
         assert not found.d2.any()
         assert int(found.overflow) == 0
-
-
-def test_one_row_between_two_walls_has_its_axis_in_the_middle():
-    found = VORONOI(jnp.asarray(maps.walls("#.....#")), jnp.float32(4), size=16)
-    assert found.cell.tolist()[:2] == [3, 7]
-    assert found.d2.tolist()[:2] == [9, 0]

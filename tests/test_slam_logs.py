@@ -130,65 +130,36 @@ def test_scans_out_of_order_are_sorted_unless_times_tell_nothing(log):
 
 @pytest.fixture
 def ros():
-    """Makers of messages of ROS 1: `make(type, fields)`, and `write(path, topics)`."""
-    rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="rosbags is not installed (the extra ros)")
-    typesys = pytest.importorskip("rosbags.typesys")
-    store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
-    told = "geometry_msgs/TransformStamped[] transforms"
-    store.register(typesys.get_types_from_msg(told, "tf2_msgs/msg/TFMessage"))
+    """Makers of messages of ROS 1, and `write(path, topics)`."""
+    bags = pytest.importorskip("ref.bags")
 
     class Ros:
-        def make(self, name, **fields):
-            return store.types[name](**fields)
-
-        def header(self, second, frame="laser"):
-            stamp = self.make("builtin_interfaces/msg/Time", sec=int(second), nanosec=round(second % 1 * 1e9))
-            return self.make("std_msgs/msg/Header", seq=0, stamp=stamp, frame_id=frame)
+        def make(self, name, second=0, **told):
+            stamp = {"header__stamp__sec": int(second), "header__stamp__nanosec": round(second % 1 * 1e9)}
+            return bags.make(bags.ROS1, name, **stamp, **told)
 
         def turn(self, heading, is_upside_down=False):
             sin, cos = np.sin(heading / 2), np.cos(heading / 2)
             x, y, z, w = (cos, sin, 0.0, 0.0) if is_upside_down else (0.0, 0.0, sin, cos)
-            return self.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+            return bags.make(bags.ROS1, "geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
 
         def scan(self, second, ranges):
-            return self.make(
-                "sensor_msgs/msg/LaserScan", header=self.header(second), angle_min=-1.0, angle_max=1.0,
-                angle_increment=1.0, time_increment=0.0, scan_time=0.1, range_min=0.5, range_max=10.0,
-                ranges=np.float32(ranges), intensities=np.zeros(0, np.float32),
-            )  # fmt: skip
+            span = {"angle_min": -1.0, "angle_max": 1.0, "angle_increment": 1.0, "range_min": 0.5, "range_max": 10.0}
+            ranges = np.float32(ranges)
+            return self.make("sensor_msgs/msg/LaserScan", second, header__frame_id="laser", ranges=ranges, **span)
 
         def odometry(self, second, x, heading):
-            place = self.make("geometry_msgs/msg/Point", x=x, y=0.0, z=0.0)
-            none = self.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
-            pose = self.make("geometry_msgs/msg/Pose", position=place, orientation=self.turn(heading))
-            return self.make(
-                "nav_msgs/msg/Odometry", header=self.header(second), child_frame_id="base",
-                pose=self.make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
-                twist=self.make(
-                    "geometry_msgs/msg/TwistWithCovariance", covariance=np.zeros(36),
-                    twist=self.make("geometry_msgs/msg/Twist", linear=none, angular=none),
-                ),
-            )  # fmt: skip
+            told = {"pose__pose__position__x": x, "pose__pose__orientation": self.turn(heading)}
+            return self.make("nav_msgs/msg/Odometry", second, child_frame_id="base", **told)
 
         def transform(self, second, parent, child, place, turn):
-            x, y, z = place
-            told = self.make(
-                "geometry_msgs/msg/Transform", rotation=turn,
-                translation=self.make("geometry_msgs/msg/Vector3", x=x, y=y, z=z),
-            )  # fmt: skip
-            stamped = self.make(
-                "geometry_msgs/msg/TransformStamped", header=self.header(second, parent), child_frame_id=child,
-                transform=told,
-            )  # fmt: skip
-            return self.make("tf2_msgs/msg/TFMessage", transforms=[stamped])
+            told = {f"transform__translation__{axis}": value for axis, value in zip("xyz", place)}
+            names = {"header__frame_id": parent, "child_frame_id": child, "transform__rotation": turn}
+            stamped = self.make("geometry_msgs/msg/TransformStamped", second, **names, **told)
+            return bags.make(bags.ROS1, "tf2_msgs/msg/TFMessage", transforms=[stamped])
 
         def write(self, path, **topics):
-            with rosbag1.Writer(path) as writer:
-                for topic, messages in topics.items():
-                    kind = messages[0].__msgtype__
-                    connection = writer.add_connection(f"/{topic}", kind, typestore=store)
-                    for i, one in enumerate(messages):
-                        writer.write(connection, i * 10**9, store.serialize_ros1(one, kind))
+            bags.write(path, {f"/{topic}": (told[0].__msgtype__, told) for topic, told in topics.items()})
 
     return Ros()
 
@@ -238,7 +209,7 @@ def test_a_rosbag_with_odometry_in_transforms_and_a_mounted_scanner(tmp_path, ro
 
 def test_a_rosbag_whose_transforms_tell_nothing_is_refused(tmp_path, ros):
     level, scans = ros.turn(0.0), [ros.scan(1.5, [1, 2, 3])]
-    tilted = ros.make("geometry_msgs/msg/Quaternion", x=0.3, y=0.0, z=0.0, w=0.95)
+    tilted = dataclasses.replace(level, x=0.3, w=0.95)
     for name, transforms, told in (
         ("a", [("map", "odom", level)], "has no message of the type nav_msgs/Odometry"),
         ("b", [("odom", "one", level), ("odom", "other", level)], "frames in odom are one, other; none .*'laser'"),

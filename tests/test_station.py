@@ -71,15 +71,6 @@ def test_the_page_holds_what_the_map_says():
     assert (last["end"], last["metres"], last["length_mm"], last["opening_m"]) == (NOWHERE, None, None, 0.8)
 
 
-def test_refusals_of_robots_with_a_name_by_hand():
-    kamui, wheeled = panel_of(SQUARE)["uses"]
-    assert kamui == {"refused": {"3": [BLOCKED]}, "barriers": {}}
-    assert wheeled == {
-        "refused": {"3": [BLOCKED], "4": ["step 0.15 m > 0.03 m"]},
-        "barriers": {"3": ["step 0.1 m > 0.03 m"]},
-    }
-
-
 def test_maps_that_fit_are_one_and_others_stand_apart():
     apart = chain("TDFDT", [(1, 90)])
     panels, said = panels_of([FIRST, THERE, apart], ["a", "b", "c"])
@@ -89,21 +80,9 @@ def test_maps_that_fit_are_one_and_others_stand_apart():
     assert panels[1].map == check_map(apart)
     assert panels[1].note == "Stands apart: it has not enough in common with the other maps."
     assert said == ["node 3: victim is True in a and False in b"]
-    data = data_of(jx.btm.station([FIRST, THERE, apart], ["a", "b", "c"]))
-    assert data["writers"] == ["a", "b", "c"]
-    assert data["notes"] == said
-    nodes = data["panels"][0]["nodes"]
-    assert [one["from"] for one in nodes] == [
-        {"a": 0},
-        {"a": 1, "b": 8},
-        {"a": 2, "b": 7},
-        {"a": 3, "b": 10},
-        {"b": 0},
-        {"b": 9},
-    ]
+    nodes = panel_of(merge_maps([FIRST, THERE], ["a", "b"]).map)["nodes"]
     told = [{"from": ["a"], "value": True}, {"from": ["b"], "value": False}]
     assert (nodes[3]["attributes"], nodes[3]["conflicts"]) == ({}, {"victim": told})
-    assert [one["from"] for one in data["panels"][1]["nodes"]] == [{"c": i} for i in range(5)]
 
 
 def test_maps_none_of_which_fits_stand_each_alone():

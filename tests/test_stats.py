@@ -181,29 +181,11 @@ def test_summary_keeps_the_order_given_and_pairs_by_episode():
     pd.testing.assert_frame_equal(by_world.summarise(episodes.iloc[within]), summary, rtol=1e-12)
 
 
-def test_summary_of_one_episode_one_strategy():
-    row = next(by_world.summarise(table(path_m=[12.5])).itertuples(index=False))
-    assert (row.n, row.mean, row.ratio) == (1, 12.5, 1.0)
-    assert np.isnan([row.sd, row.ci_low, row.ci_high, row.p]).all()
-
-
 def test_summary_of_nothing():
     empty = table(path_m=[1.0]).iloc[:0]
     assert len(by_world.summarise(empty)) == 0
     assert by_world.warnings_of(empty) == []
     assert by_world.markdown_table(by_world.summarise(empty)).count("\n") == 2
-
-
-@pytest.mark.parametrize(("path_m", "decimals"), [([10.0, 12.0, 14.0], 1), ([10.0, 10.1, 10.2], 2)])
-def test_intervals_of_a_metre_and_more_have_one_decimal(path_m, decimals):
-    text = by_world.markdown_table(by_world.summarise(table(path_m=path_m)))
-    low, high = text.splitlines()[2].split("[")[1].split("]")[0].split(", ")
-    assert [len(end.split(".")[1]) for end in (low, high)] == [decimals] * 2
-
-
-def test_room_entries_average_over_known_ones():
-    episodes = table(path_m=[1.0, 2.0, 3.0], room_entries=pd.array([4, pd.NA, 8], dtype="Int64"))
-    assert by_world.summarise(episodes)["room_entries"].tolist() == [6.0]
 
 
 def test_world_without_the_first_strategy():
@@ -228,21 +210,6 @@ def test_pairs_that_start_differently_and_episodes_that_occur_twice_are_refused(
     with pytest.raises(InputError, match=r"^office#1, random, episode 1: .*start_col is 9, not 4$"):
         by_world.summarise(both([1.0, 2.0], [1.0, 2.0], start_col=[4, 9]))
     refused("episode 5 must occur once", by_world.summarise, table(path_m=[1.0, 2.0], episode=[5, 5]))
-
-
-def test_markdown_whole():
-    episodes = both([10.0, 20.0, 30.0], [20.0, 40.0, 60.0])
-    text = by_world.markdown_table(by_world.summarise(episodes))
-    lines = text.splitlines()
-    assert len({len(line) for line in lines}) == 1
-    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
-    assert cells[0][:7] == ["world", "strategy", "n", "path m", "95 % interval", "ratio to the first", "p (Holm)"]
-    assert cells[2] == [
-        *("office#1", "closest", "3", "20.00 ± 10.00", "[5.8, 69.3]", "1.000", "-"),
-        *("7.0", "104.0", "1.5", "30", "0.9", "1.000", "0.0", "-", "COMPLETE 3"),
-    ]
-    assert cells[3][3:7] == ["40.00 ± 20.00", "[11.6, 138.5]", "2.000", "-"]
-    assert set(lines[1]) == set("|-: ")
 
 
 def progress(final, metres_a_mark=1.0):
@@ -271,10 +238,6 @@ def test_repeated_episodes_count_once():
     other_start = both([50.0] * 4, [40.0] * 4, start_col=[4, 4, 4, 5])
     other_start.loc[3, "start_col"] = 5
     assert by_world.summarise(other_start)["n"].tolist() == [4, 4]
-
-
-def test_no_warning_where_all_ended_alike():
-    assert by_world.warnings_of(both([10.0, 20.0], [12.0, 30.0], explored_fraction=[1.0, 0.995])) == []
 
 
 def test_truncated_paths_are_compared_at_equal_coverage():

@@ -216,27 +216,6 @@ def test_settings_that_differ_in_numbers_share_one_program(found):
     assert found[1] == 1
 
 
-@pytest.mark.slow
-@pytest.mark.jit
-def test_summary(found):
-    result, _ = found
-    table, summary = result.to_pandas(), result.summary
-    assert len(summary) == 16 * 2 * 4
-    row = summary.iloc[1]
-    own, first = (
-        table[(table["setting"] == 0) & (table["world"] == WORLDS[0]) & (table["strategy"] == name)]["path_m"]
-        for name in (row["strategy"], "closest+recheck")
-    )
-    assert row["mean"] == pytest.approx(own.mean())
-    assert row["ratio"] == pytest.approx(own.mean() / first.mean())
-    assert row["strategy.weight"] == 0.5
-    assert result.varied == ["lidar.range_m", "lidar.sigma_m", "rules.p_free", "rules.max_steps", "strategy.weight"]
-    text = result.to_markdown(5)
-    assert text.count("\n| ") == 6
-    assert "... and 123 more rows" in text
-    assert set(result.figures()) == {"sweep.png"}
-
-
 NATIVE = {
     **{"worlds": WORLDS, "strategies": ["closest+recheck", "random"], "episodes": 3},
     "lidar": {**SMALL, "range_m": [1, 2.5], "sigma_m": [0, 0.03]},

@@ -46,16 +46,6 @@ def shown(monkeypatch):
     return show
 
 
-def test_a_table_that_fits_is_drawn_as_it_is(shown):
-    assert shown(100, TABLE) == [
-        "world                          strategy         path m  95 % interval  outcomes",
-        "─" * 95,
-        "cave:width_m=6.4,height_m=6.4  closest            6.81    [2.0, 23.5]  COMPLETE 3",
-        "cave:width_m=6.4,height_m=6.4  closest+recheck    4.27    [0.9, 21.3]  COMPLETE 2, STEP_LIMIT 1",
-        "",
-    ]
-
-
 def test_a_wide_table_folds_and_is_cut_into_parts_that_begin_alike(shown):
     assert shown(54, TABLE) == [
         "                                     path         95 %",
@@ -74,13 +64,6 @@ def test_a_wide_table_folds_and_is_cut_into_parts_that_begin_alike(shown):
         "height_m=6.4                        STEP_LIMIT 1",
         "",
     ]
-
-
-def test_lines_between_tables_stay_and_headings_lose_their_hashes(shown):
-    table = aligned_table(["a"], [["1"]], left=[])
-    text = f"## Orderings\n\nA [bold] claim of eight words that holds :smile:\n\n{table}\nend"
-    folded = ["A [bold] claim of eight words", "that holds :smile:"]
-    assert shown(30, text) == ["Orderings", "", *folded, "", "a", "─", "1", "", "end"]
 
 
 def test_elsewhere_it_is_the_markdown_itself(capsys):
@@ -146,24 +129,6 @@ def test_a_warning_about_what_was_given_is_one_line_and_said_once(capsys):
 # --- help
 
 
-def help_of(command, capsys, monkeypatch, columns=100):
-    """`{option: its text on one line}`, and the whole page."""
-    monkeypatch.setenv("COLUMNS", str(columns))
-    assert main.main([command, "--help"]) == 0
-    page = capsys.readouterr().out
-    assert "╭─ options ─" in page
-    lines = [line.strip("│").rstrip() for line in page.splitlines() if line.startswith("│")]
-    texts, option = {}, ""
-    for line in lines:
-        found = re.match(r" (--[\w.-]+)(?: \S.*?)?(?:  +(?=\S)|$)", line)
-        if found:
-            option = found[1]
-            texts[option] = line[found.end() :].strip()
-        elif texts and line.startswith("    ") and not set(line.strip()) <= {"─"}:
-            texts[option] = f"{texts[option]} {line.strip()}".strip()
-    return texts, page
-
-
 def test_every_option_is_explained_in_whole_sentences():
     for command in (*main.COMMANDS.values(), Lidar, Rules):
         texts = options.field_texts(command)
@@ -173,59 +138,3 @@ def test_every_option_is_explained_in_whole_sentences():
                 assert said.endswith("."), (command, field.name, said)
                 assert said[0].isupper(), (command, field.name, said)
                 assert len(said.split()) > 2, (command, field.name, said)
-
-
-def test_an_option_that_switches_off_says_what_it_does(capsys, monkeypatch):
-    texts, page = help_of("explore", capsys, monkeypatch)
-    assert max(map(len, page.splitlines())) <= 100
-    for nothing in ("default: None", "default: True", "default: False", "default: )", "{None}"):
-        assert nothing not in page
-    negative = {option: text for option, text in texts.items() if ".no-" in option or option.startswith("--no-")}
-    assert negative.pop("--lidar.no-echo").startswith("A beam that nothing stops")  # no switch
-    assert negative == {
-        "--no-report": "Leave out report.html.",
-        "--rules.no-look-around": "A robot that arrives at a live target does not turn to look all round.",
-    }
-    assert not options.parse_options(["explore", "--rules.no-look-around"], main.COMMANDS).rules.look_around
-
-
-def test_a_text_over_several_lines_is_one_paragraph():
-    texts = options.field_texts(main.COMMANDS["explore"])
-    assert texts["world"].startswith("Explore this world: ")
-    assert "lidar" not in texts
-    assert all("\n" not in text and "  " not in text for text in texts.values())
-
-
-class Timer:
-    """A timer that rings when it is told to, if it has not been cancelled."""
-
-    def __init__(self, seconds, act):
-        assert seconds == console.PATIENCE_S
-        self.act = act
-
-    def start(self):
-        self.is_on = True
-
-    def cancel(self):
-        self.is_on = False
-
-    def ring(self):
-        if self.is_on:
-            self.act()
-
-
-def test_slow_work_is_named_once(monkeypatch, capsys):
-    made = []
-    monkeypatch.setattr(console.threading, "Timer", lambda *given: made.append(Timer(*given)) or made[-1])
-    with console.working(10, "runs"):
-        made[-1].ring()
-    with console.working(10, "runs"):
-        pass
-    made[-1].ring()  # after its end
-    with console.working(10, "runs") as on_progress:
-        on_progress(0)  # the first is under way: nothing compiles any more
-        made[-1].ring()
-    with console.note_if_slow("never") as call_off:
-        call_off()
-        made[-1].ring()
-    assert capsys.readouterr().err == f"{console.COMPILING}\n"

@@ -124,21 +124,10 @@ def test_files_text_and_picture_show_one_map(made):
     assert [check_map(one) for one in drawn] == [found]
 
 
-def test_what_it_says(ran):
-    said = trace_tables.map_tables(json_form.read_btm(ran / "btm.json")).splitlines()
-    assert [cell.strip() for cell in said[0].split("|")[1:4]] == ["node", "x m", "y m"]
-    assert sum("divergence" in line for line in said) == 2
-    assert sum("| un-searched |" in line for line in said) == 2
-    assert len({len(line) for line in said[:11]}) == 1
-
-
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (("--robot", "tank"), "robot must be one of kamui, wheeled, got 'tank'"),
         (("--world", "curse"), "there is no world 'curse'"),
-        (("--noise-m", "nan"), "noise.range_m must be a number at least 0"),
-        (("--tuning.votes", "0"), "tuning.votes must be an integer from 1 to 9"),
         (("--start", "0.1", "0.1", "0"), "lies in a wall"),
         (("--start", "2.5", "27", "east"), "--start: Could not parse arguments ['2.5', '27', 'east']"),
         (("--start", "2.5", "27", "nan"), "start heading must be a number"),

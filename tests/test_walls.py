@@ -27,30 +27,6 @@ def by_hand(lines, n):
     return out
 
 
-def test_a_box_has_four_walls():
-    walls = walls_of(BOX, 0.5, multiple=4)
-    np.testing.assert_array_equal(walls.x, by_hand([[0.5, 0.5, 1.5], [2.0, 0.5, 1.5]], 4))
-    np.testing.assert_array_equal(walls.y, by_hand([[0.5, 0.5, 2.0], [1.5, 0.5, 2.0]], 4))
-    assert walls.x.dtype == walls.y.dtype == np.float32
-    np.testing.assert_array_equal(
-        segments(walls), [[0.5, 0.5, 0.5, 1.5], [2, 0.5, 2, 1.5], [0.5, 0.5, 2, 0.5], [0.5, 1.5, 2, 1.5]]
-    )
-
-
-def test_a_pillar_has_four_sides_and_a_niche_interrupts_a_wall():
-    occupied = maps.walls("""
-        #######
-        ###.###
-        #.....#
-        #.##..#
-        #.....#
-        #######
-    """)
-    walls = walls_of(occupied, 1.0, multiple=1)
-    assert walls.x.tolist() == [[1, 1, 4], [2, 2, 3], [3, 4, 5], [4, 2, 3], [4, 4, 5], [6, 1, 4]]
-    assert walls.y.tolist() == [[1, 1, 6], [2, 2, 4], [3, 2, 4], [4, 1, 3], [4, 4, 6], [5, 3, 4]]
-
-
 def test_a_map_without_free_cells_has_no_walls():
     walls = walls_of(np.ones((3, 4), bool), 0.1)
     np.testing.assert_array_equal(walls.x, by_hand([], 32))
@@ -175,43 +151,6 @@ def test_padding_adds_nothing():
 
 
 @pytest.mark.jit
-def test_turning_the_robot_turns_the_scan():
-    rng = np.random.default_rng(4)
-    occupied = cluttered(rng)
-    walls = walls_of(occupied, CELL_M, multiple=MULTIPLE)
-    row, col = np.argwhere(~occupied)[11]
-    x, y = np.float32((col + 0.43) * CELL_M), np.float32((row + 0.61) * CELL_M)
-    before = np.asarray(by_segments(walls, (x, y, np.float32(0.1))))
-    for beams in (1, 64, 100):
-        turned = np.asarray(by_segments(walls, (x, y, np.float32(0.1 + beams * 2 * math.pi / BEAMS))))
-        same = np.isclose(turned, np.roll(before, -beams), atol=1e-3)
-        assert same.mean() > 0.99  # the others pass a corner by a hair
-
-
-@pytest.mark.jit
-def test_turning_the_map_turns_the_scan():
-    rng = np.random.default_rng(5)
-    height_m, width_m = SHAPE[0] * CELL_M, SHAPE[1] * CELL_M
-    for _ in range(4):
-        occupied = cluttered(rng)
-        row, col = rng.choice(np.argwhere(~occupied))
-        x, y = (np.float32((v + rng.uniform(0.05, 0.95)) * CELL_M) for v in (col, row))
-        heading = np.float32(rng.uniform(-3, 3))
-        before = by_segments(walls_of(occupied, CELL_M, multiple=MULTIPLE), (x, y, heading))
-        half = by_segments(
-            walls_of(np.rot90(occupied, 2), CELL_M, multiple=MULTIPLE),
-            (np.float32(width_m) - x, np.float32(height_m) - y, np.float32(heading + math.pi)),
-        )
-        # Rows run with y: turned by a quarter, (x, y) goes to (height - y, x).
-        quarter = by_segments(
-            walls_of(np.rot90(occupied, -1), CELL_M, multiple=MULTIPLE),
-            (np.float32(height_m) - y, x, np.float32(heading + math.pi / 2)),
-        )
-        for after in (half, quarter):
-            assert np.isclose(before, after, atol=2e-3).mean() > 0.99
-
-
-@pytest.mark.jit
 def test_more_range_changes_no_reading():
     rng = np.random.default_rng(6)
     walls = walls_of(cluttered(rng), CELL_M, multiple=MULTIPLE)
@@ -220,17 +159,6 @@ def test_more_range_changes_no_reading():
     one = jax.jit(lambda limit: cast(walls, pose, FAN, limit))
     for limit in (0.5, 1.0, 3.0):
         np.testing.assert_array_equal(one(np.float32(limit)), np.where(far < limit, far, np.inf))
-
-
-@pytest.mark.jit
-def test_rows_of_a_batch_are_independent_and_jit_changes_nothing():
-    walls = walls_of(BOX, 0.5)
-    poses = np.array([[1.0, 0.75, 0.0], [0.6, 1.2, 2.0], [1.9, 0.7, -1.0]], np.float32)
-    angles = FAN[::8]
-    many = jax.jit(jax.vmap(lambda pose: cast(walls, pose, angles, 4.0)))(poses)
-    for pose, row in zip(poses, many):
-        with jax.disable_jit():
-            np.testing.assert_allclose(cast(walls, pose, angles, 4.0), row, rtol=1e-5, atol=1e-5)
 
 
 rectangle_meets = jax.jit(meets)

@@ -13,7 +13,6 @@ from hypothesis.extra import numpy as hnp
 from ref.refusals import refused
 from ref.worlds import with_walls
 
-from jexplore.arrays.pictures import soft_colours
 from jexplore.config import InputError
 from jexplore.rooms.scores import label_components
 from jexplore.worlds import load_world
@@ -199,15 +198,6 @@ def test_components_are_what_the_robot_reaches_in_eight_directions(mask):
 # --- starts
 
 
-def test_start_region_by_pencil():
-    world = room(5, 5)
-    expected = np.zeros((7, 7), bool)
-    expected[2:5, 2:5] = True
-    assert np.array_equal(start_region(world, 0.1), expected)
-    assert start_region(world, 0.3).sum() == 0
-    assert start_region(room(7, 7), 0.3).sum() == 1
-
-
 def test_start_region_is_the_largest_and_of_equals_the_first():
     world = picture("########", "#..#...#", "########")
     assert np.argwhere(start_region(world, 0))[:, 1].tolist() == [4, 5, 6]
@@ -317,31 +307,6 @@ def test_a_world_is_its_occupied_cells_to_numpy():
     assert world.occupied.sum() == 21
     with pytest.raises(ValueError, match="copy"):
         np.asarray(world, dtype=float, copy=False)
-
-
-def test_a_world_is_drawn_in_metres_of_its_frame():
-    from matplotlib import pyplot
-    from matplotlib.figure import Figure
-
-    world, ax = _pencil_world(), Figure().add_subplot()
-    assert world.plot(ax) is ax
-    (image,) = ax.images
-    assert image.get_extent() == pytest.approx([-14.3, -13.6, 2.7, 3.2])
-    assert image.origin == "lower"
-    np.testing.assert_array_equal(image.get_array()[..., 0] == 0, world.occupied)
-    assert ax.lines[0].get_marker() == (3, 0, 0)  # a triangle that points up, for a heading of 90 degrees
-    rooms = world.replace(rooms=np.where(world.occupied, -1, 1)).plot(Figure().add_subplot()).images[0].get_array()
-    assert len(np.unique(rooms.reshape(-1, 3), axis=0)) == 2
-    assert (rooms[1, 1] == soft_colours(2)[1]).all()
-    assert ax.lines[0].get_xydata().tolist() == [[pytest.approx(-14.15), pytest.approx(2.85)]]
-    before = pyplot.get_fignums()
-    own = world.replace(start=None).plot()
-    assert len(pyplot.get_fignums()) == len(before) + 1
-    assert not own.lines
-    pyplot.close(own.figure)
-    own.figure.canvas.draw()  # `$` in its name is no formula
-    shown = Figure().add_subplot().imshow(world)
-    assert shown.get_array().shape == (5, 7)
 
 
 @pytest.mark.parametrize("origin_m", [(-14.3, 2.7), (-1 / 3, 1e5)])

@@ -287,7 +287,7 @@ def differences(result, state, want, *, cell_m, rooms=None, within=None, known=N
             [int(v) for v in (state.row, state.col, state.heading)],
         ),
         "explored": (int(result.explored) / max(int(result.explorable), 1), want.explored_fraction),
-        "path_m_at": (lengths, list(want.path_m_at_any_scan.values())),
+        "path_m_at": (lengths, list(want.path_m_at.values())),
         "path_m_along": (*(np.nan_to_num(metres, nan=-1.0) for metres in (along, want.path_m_along)),),
         "time": ((int(result.time_ms), int(result.starts)), (end, starts)),
         "time_at": (result.time_at, [times[step] for step in want.steps_at]),

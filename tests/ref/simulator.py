@@ -28,7 +28,7 @@ class Plan:
 
 @dataclasses.dataclass
 class Result:
-    """Result of an episode; counts as the robot made them, metres and radians derived from them at the end."""
+    """Result of an episode; counts as the robot made them, metres derived from them at the end."""
 
     outcome: str = ""  # COMPLETE, BLOCKED, STUCK, EXPLORED, STEP_LIMIT, PLAN_LIMIT, PATH_LIMIT, TIME_LIMIT
     events: list = dataclasses.field(default_factory=list)  # what took time, see `clock.play`
@@ -44,17 +44,11 @@ class Result:
     plans: int = 0
     exhausted: int = 0
     log: list = dataclasses.field(default_factory=list)  # a Plan for each plan
-    known_after_step: list = dataclasses.field(
-        default_factory=list
-    )  # known cells: initial scans, then each step's scan
     known_after_scan: list = dataclasses.field(default_factory=list)  # (steps, known cells), one a scan
     explored_fraction: float = 0.0
-    path_m: float = 0.0
-    turning_rad: float = 0.0
-    path_m_at: dict = dataclasses.field(default_factory=dict)  # per cent -> m, by `known_after_step`
-    path_m_at_any_scan: dict = dataclasses.field(default_factory=dict)  # per cent -> m, by `known_after_scan`
+    path_m_at: dict = dataclasses.field(default_factory=dict)  # per cent -> m, by `known_after_scan`
     path_m_along: list = dataclasses.field(default_factory=list)  # m at each per cent of `knowable`, NaN: never
-    steps_at: list = dataclasses.field(default_factory=list)  # steps made at each of `path_m_at_any_scan`
+    steps_at: list = dataclasses.field(default_factory=list)  # steps made at each of `path_m_at`
     steps_along: list = dataclasses.field(default_factory=list)  # and of `path_m_along`, None: never
     room_entries: int | None = None  # None without rooms
 
@@ -172,7 +166,6 @@ class Robot:
         """The scans at the start: they are no turns, and the heading stays."""
         for i in range(n):
             self.scan((self.heading + i * 360 // n) % 360)
-        self.result.known_after_step.append(self.known_count())
 
     def look_around(self, n, over):
         """Scans after equal turns to the left, n all round with the one on arrival; the last heading stays.
@@ -189,30 +182,36 @@ class Robot:
                 return ended
         return None
 
-    def step(self, cell):
-        """Go to a neighbouring cell and scan; False if the step is refused (the robot turns and scans all the same)."""
+    def go(self, cell):
+        """Turn and go to a neighbouring cell; False if the step is refused."""
         row, col = self.cell
         motion = cell[0] - row, cell[1] - col
         self.turn_to(HEADING_OF[motion])
         if self.occupied[cell] or not self.within[cell] or not (self.classes()[1][cell] or self.driven[cell]):
             self.result.refused += 1
-            self.scan(self.heading)
             self.result.events.append(("scan",))
             return False
         self.cell = cell
-        self.result.events.append(("step", bool(motion[0] and motion[1])))
+        self.result.events.append(("step", all(motion)))
         self.result.visited.append(cell)
         self.driven[cell] = True
-        if motion[0] and motion[1]:
-            self.result.diagonal += 1
-            self.driven[row + motion[0], col] = self.driven[row, col + motion[1]] = True
-        else:
-            self.result.straight += 1
-        self.unscanned += 92682 if motion[0] and motion[1] else 65536
-        if self.unscanned >= self.scan_every or cell == self.target:
-            self.scan(self.heading)
-        self.result.known_after_step.append(self.result.known_after_scan[-1][1])
+        self.result.straight += not all(motion)
+        self.result.diagonal += all(motion)
+        self.unscanned += 92682 if all(motion) else 65536
+        if all(motion):
+            self.driven[cell[0], col] = self.driven[row, cell[1]] = True
         return True
+
+    def scan_is_due(self):
+        """Return whether the way asks for a scan."""
+        return self.unscanned >= self.scan_every or self.cell == self.target
+
+    def step(self, cell):
+        """Go to a neighbouring cell and scan; False if the step is refused (the robot turns and scans all the same)."""
+        went = self.go(cell)
+        if not went or self.scan_is_due():
+            self.scan(self.heading)
+        return went
 
     def plan(self, choose, clear_r2, near_r2):
         """Choose a target and the way to it; the record says which."""
@@ -400,7 +399,6 @@ def simulate(
     elsewhere[start] = False
     if occupied[start] or not elsewhere.any():
         robot.result.outcome = "STUCK"
-        robot.result.known_after_step.append(robot.known_count())
     else:
         n_scans = initial_scan_count(fov_deg)
         robot.look_all_round(n_scans)
@@ -432,19 +430,12 @@ def measure(robot, start, cell_m, rooms):
         is_diagonal = a[0] != b[0] and a[1] != b[1]
         straight, diagonal = straight + (not is_diagonal), diagonal + is_diagonal
         lengths_m.append((straight + diagonal * math.sqrt(2)) * cell_m)
-    result.path_m = lengths_m[-1]
-    result.turning_rad = result.turns * math.pi / 4
-
     final = int((known & robot.within).sum())
-    by_step = [
-        *enumerate(result.known_after_step),
-        (result.steps, final),
-    ]  # scans in place may come after the last step
     by_scan = [*result.known_after_scan, (result.steps, final)]
     for share in SHARES:
-        for series, out in ((by_step, result.path_m_at), (by_scan, result.path_m_at_any_scan)):
-            out[share] = lengths_m[next(step for step, count in series if 100 * count >= share * final)]
-        result.steps_at.append(next(step for step, count in by_scan if 100 * count >= share * final))
+        step = next(step for step, count in by_scan if 100 * count >= share * final)
+        result.steps_at.append(step)
+        result.path_m_at[share] = lengths_m[step]
     whole = knowable(inside, robot.within)
     for share in range(1, 101):
         steps = [

@@ -1,7 +1,7 @@
 """Oracle for teams in plain loops, the same team by the engine, and their differences.
 
-The rules are those of `exploration/team/environment.py`; each robot is a `simulator.Robot`, whose steps are taken apart
-into motion and scan, because others act between the two.
+The rules are those of `exploration/team/environment.py`; each robot is a `simulator.Robot`, and others act between its
+motion and the scan that follows.
 """
 
 import functools
@@ -165,7 +165,7 @@ class Member(simulator.Robot):
 
     def finish_motion(self):
         """Make the scan that belongs to the last motion, if one is due."""
-        if self.pending == "refused" or self.cell == self.target or self.unscanned >= self.scan_every:
+        if self.pending == "refused" or self.scan_is_due():
             self.note_scan(self.heading)
 
     def judge(self):
@@ -263,20 +263,11 @@ class Member(simulator.Robot):
             if self.in_a_row >= PATIENCE + self.number:
                 self.active, self.hemmed, self.in_a_row = False, True, 0
             return
-        self.turn_to(simulator.HEADING_OF[motion])
-        if self.occupied[cell] or not (self.classes()[1][cell] or self.driven[cell]):
-            self.result.refused, self.pending = self.result.refused + 1, "refused"
-            self.result.events.append(("scan",))
+        if not self.go(cell):
+            self.pending = "refused"
             return
         self.path.pop(0)
-        self.result.events.append(("step", all(motion)))
-        self.cell, self.pending, self.in_a_row, self.looked = cell, "step", 0, 0
-        self.result.straight += not all(motion)
-        self.result.diagonal += all(motion)
-        self.unscanned += 92682 if all(motion) else 65536
-        self.driven[cell] = True
-        if all(motion):
-            self.driven[cell[0], col] = self.driven[row, cell[1]] = True
+        self.pending, self.in_a_row, self.looked = "step", 0, 0
 
 
 def simulate(case):
