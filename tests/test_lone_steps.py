@@ -22,7 +22,7 @@ def _known(x, z, n):
         now = ground_profile.update_step(now, *(jax.lax.dynamic_slice(a, (i + 1,), (RECENT,)) for a in (x, z)))
         return now, now
 
-    return jax.lax.scan(step, ground_profile.no_step(), jnp.arange(n))[1]
+    return jax.lax.scan(step, LoneStep(), jnp.arange(n))[1]
 
 
 def driven(ground, sigma=0.0, seed=0, way_m=8.0):
@@ -70,7 +70,7 @@ def test_a_step_is_found_with_its_place_and_height_and_both_edges_of_a_sill_are_
 @pytest.mark.parametrize("face", [[0.05], [0.11], []])
 def test_a_point_on_its_face_far_from_both_flanks_does_not_count(face):
     """Half way down, where the robot looks as it tips; the ground behind an edge is hidden."""
-    now = ground_profile.no_step()
+    now = LoneStep()
     x = np.array([3.6, 3.64, 3.68, 3.72, 3.76, *[3.84] * len(face), 4.0, 4.04, 4.08], np.float32)
     z = np.array([0.15] * 5 + face + [0] * 3, np.float32)
     for n in range(1, len(x) + 1):

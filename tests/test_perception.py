@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from ref.passages import EAST, FEATURES, NORTH, WIDTHS_M, building
+from ref.passages import EAST, FEATURES, NORTH, WIDTHS_M, building, cast
 
 from jexplore.arrays.delaunay import circumcircles, delaunay
 from jexplore.driving import vehicle
-from jexplore.driving.building import terrain, walls
+from jexplore.driving.building import terrain
 from jexplore.driving.events import SCAN_POINTS
 from jexplore.driving.events import triangles as look
 from jexplore.driving.sensing import ground_profile, obstacles, perception
@@ -198,7 +198,7 @@ def test_far_bound_by_hand():
 @jax.jit
 def look_from(walls_, pose, tuning, noise_m):
     """`(divergence, centres in the world)`."""
-    ranges = walls.cast(walls_, pose, ANGLES_RAD, SCAN_RANGE_M) + noise_m
+    ranges = cast(walls_, pose, ANGLES_RAD, SCAN_RANGE_M) + noise_m
     xy, valid = points(ranges, ANGLES_RAD)
     beside = jnp.stack(sides(xy, valid, 0, KAMUI.length_m / 2)).min()
     found = look(xy, valid, beside, tuning)
@@ -481,10 +481,14 @@ def test_the_order_of_the_points_does_not_matter():
     assert float(one.step_m) == pytest.approx(float(other.step_m), abs=0.005)  # points at edges of the way's cells
 
 
-def test_a_riser_between_treads_of_any_length():
-    for steps in ([0.4, 0.7, 1.0], [0.4, 1.4, 2.4], [1.5]):
-        z = 0.1 * np.searchsorted(steps, WAY) + 0.02 * (WAY > 0.8) * (len(steps) == 3 and steps[1] > 1)
-        assert float(profile_of(WAY, z).riser_m) == pytest.approx(0.1, abs=1e-4)
+@pytest.mark.parametrize("tread_m", [0.22, 0.25, 0.3, 0.31, 0.4])
+def test_a_riser_is_told_through_noise(tread_m):
+    rng = np.random.default_rng(0)
+    for riser_m in (-0.06, 0.1, 0.2):
+        z = staircase(WAY, tread_m, riser_m)
+        assert float(profile_of(WAY, z).riser_m) == pytest.approx(abs(riser_m), rel=0.04)
+        noisy = [profile_of(WAY, z + rng.normal(scale=0.01, size=len(WAY))).riser_m for _ in range(20)]
+        np.testing.assert_allclose(noisy, abs(riser_m), atol=0.01)
     assert float(profile_of(WAY, 0 * WAY).riser_m) == 0
 
 

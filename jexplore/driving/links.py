@@ -10,7 +10,7 @@ from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import Openings, Writer
-from jexplore.driving.vehicle import rotate_by, to_odometry, to_robot
+from jexplore.driving.vehicle import rotate_by, to_robot
 
 
 def turn_to(map_: Btm, node: Array, found: Openings) -> Array:
@@ -85,41 +85,20 @@ def is_alike(map_: Btm, node: Array, found: Openings, back: Array, leads: Array)
     return (missing == 0) & (more == 0) & (leads | jnp.any(waits))
 
 
-def leads_to(writer: Writer) -> tuple[Array, Array]:
-    """Return whether the robot follows a known link, and the node at its end: `(followed, to)`."""
-    map_, size = writer.map, writer.map.start.shape[0]
-    link = jnp.minimum(writer.link, size - 1)
-    to = jnp.where(map_.start[link] == writer.node, map_.end[link], map_.start[link])
-    return (writer.link < size) & (map_.status[link] == btm.SEARCHED), to
-
-
-def way_along(map_: Btm, link: Array, forward: Array) -> Array:
-    """Return the odometry displacement along a searched link, in the frame of its first node: `[2]`, metres."""
-    there = jnp.stack([map_.moved_x_m[link], map_.moved_y_m[link]])
-    turned = jnp.nan_to_num(map_.turned[link])
-    return jnp.where(forward, there, rotate_by(-turned)(-there))
-
-
 def led_to(writer: Writer) -> tuple[Array, Array, Array]:
     """Return the end of the followed link, laid out from the odometry position of the last node.
 
     Returns:
-      `(followed, to, place)`: bool, the followed link is known; int32, node at its other end; `[2]` float32.
+      `(followed, to, place)`: bool, the robot follows a known link; int32, node at its other end; `[2]` float32.
     """
-    followed, to = leads_to(writer)
-    link = jnp.minimum(writer.link, writer.map.start.shape[0] - 1)
-    way = way_along(writer.map, link, writer.map.start[link] == writer.node)
-    return followed, to, writer.origin[:2] + to_odometry(jnp.stack([0.0, 0.0, -writer.origin[2]]))(way)
-
-
-def is_led_to(writer: Writer, centre: Array, odometer_m: Array, reach: Array | float) -> tuple[Array, Array]:
-    """Decide whether a place is the end of the followed link, judged by the length of the way: `(node, bool)`.
-
-    The node must lie within `reach`, metres, plus a share of the way along the link.
-    """
-    followed, to, place = led_to(writer)
-    limit_m = reach + P.graph.drift_share * (odometer_m - writer.node_m)
-    return to, followed & (jnp.hypot(*(place - centre)) < limit_m)
+    map_, size = writer.map, writer.map.start.shape[0]
+    link = jnp.minimum(writer.link, size - 1)
+    forward = map_.start[link] == writer.node
+    moved = jnp.stack([map_.moved_x_m[link], map_.moved_y_m[link]])
+    way = jnp.where(forward, moved, rotate_by(-jnp.nan_to_num(map_.turned[link]))(-moved))
+    followed = (writer.link < size) & (map_.status[link] == btm.SEARCHED)
+    place = writer.origin[:2] + rotate_by(-writer.origin[2])(way)
+    return followed, jnp.where(forward, map_.end[link], map_.start[link]), place
 
 
 def match_node(
@@ -207,7 +186,7 @@ def _failed(writer, node):
     """Return `Writer.fails` with the link by which the robot has come to a node."""
     size = writer.map.start.shape[0]
     link = jnp.minimum(writer.link, size - 1)
-    followed, to = leads_to(writer)
+    followed, to, _ = led_to(writer)
     return writer.fails.at[jnp.where(followed, link, size)].set(
         jnp.where(node == to, 0, writer.fails[link] + 1), mode="drop"
     )

@@ -14,7 +14,7 @@ from jexplore.btm import wrapped
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import Manoeuvre, Surround
 from jexplore.driving.sensing import surround
-from jexplore.driving.sensing.surround import DIRECTION, DIRECTIONS
+from jexplore.driving.sensing.surround import DIRECTION
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import DT_S
 
@@ -31,18 +31,7 @@ OTHER_MOTIONS = (
 
 def initial_manoeuvre(pose: Array) -> Manoeuvre:
     """Return an empty memory at a pose `[3]`."""
-    return Manoeuvre(
-        trail=jnp.zeros((TRAIL_POSES, 3)).at[0].set(pose),
-        length=jnp.int32(1),
-        kept=jnp.int32(1),
-        backing=jnp.bool_(False),
-        backed_m=jnp.float32(0),
-    )
-
-
-def is_free_ahead(ways_m: Array, long_m: float) -> Array:
-    """Return whether the way straight ahead is free over a length, metres: bool."""
-    return ways_m[DIRECTIONS // 2] >= long_m
+    return Manoeuvre(trail=jnp.zeros((TRAIL_POSES, 3)).at[0].set(pose))
 
 
 def extend_trail(now: Manoeuvre, pose: Array) -> Manoeuvre:
@@ -83,7 +72,8 @@ def avoid_obstacles(
     v = jnp.where(turning != 0, 0, speed * jnp.maximum(jnp.cos(course), 0))
     omega = jnp.where(turning != 0, turning * robot.max_turn_rad_s / 2, tuning.turn_gain * course)
     omega = jnp.clip(omega, -robot.max_turn_rad_s, robot.max_turn_rad_s)
-    v = jnp.where(_meets(around, robot, v * P.motion.ahead_s, omega * P.motion.ahead_s), 0, v)
+    room_m = _room_m(around, robot, v * P.motion.ahead_s, omega * P.motion.ahead_s)
+    v = jnp.where(room_m < P.motion.outline_slack_m, 0, v)
     in_place = (turning != 0) | (v < 0.25 * speed)
     v = jnp.where(in_place, 0, v)
     wanted = jnp.where(turning != 0, jnp.pi, jnp.abs(course))
@@ -117,11 +107,6 @@ def _room_m(around, robot, ahead_m, turn):
     xy, known = surround.known_points(surround.move_surround(around, ahead_m, jnp.float32(0), turn))
     outside = jnp.maximum(jnp.abs(xy[:, 0]) - robot.length_m / 2, jnp.abs(xy[:, 1]) - robot.width_m / 2)
     return jnp.min(jnp.where(known, outside, jnp.inf))
-
-
-def _meets(around, robot, ahead_m, turn):
-    """Return whether the robot's outline meets a point after a short motion."""
-    return _room_m(around, robot, ahead_m, turn) < P.motion.outline_slack_m
 
 
 def _backs(now, around, robot, in_place, wanted, omega, touched):

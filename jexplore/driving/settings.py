@@ -108,6 +108,11 @@ class Tuning(Settings):
     turn_gain: float = 1.5
     """The robot turns at this rate for each radian of bearing of the target point [kw], in 1/s."""
 
+    @property
+    def region(self) -> tuple[float, float]:
+        """Return where the watched region begins and ends, metres ahead."""
+        return self.ahead_m / 2, self.ahead_m / 2 + self.region_m
+
 
 MOST_NODES = int(NUMBER_BOUNDS["nodes"][1])
 """Of a map, at most; of links twice as many."""

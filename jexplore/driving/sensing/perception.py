@@ -156,7 +156,7 @@ def resample_walls(
     jump = ~(inside[1:] & inside[:-1]) | (step > 1 / P.places.spacing_widths * spacing_m)
     edge = jnp.ones(1, bool)
     ends = inside & (jnp.concatenate([edge, jump]) | jnp.concatenate([jump, edge]))
-    along = running_sum(jnp.concatenate([jnp.zeros(1), jnp.where(jump, 0, step)]))
+    along = jnp.cumsum(jnp.concatenate([jnp.zeros(1), jnp.where(jump, 0, step)]))
     n_ends = size // 4
     n_ticks = size - n_ends
     spacing = jnp.maximum(spacing_m, along[-1] / n_ticks)
@@ -167,21 +167,11 @@ def resample_walls(
     before = jnp.where(on_wall, before, 0)
     share = jnp.where(on_wall, (tick - along[before]) / jnp.where(step > 0, step, 1)[before], 0)
     ticks = xy[before] + share[:, None] * (xy[before + 1] - xy[before])
-    place = jnp.where(ends, running_sum(ends.astype(jnp.float32)).astype(jnp.int32) - 1, n_ends)
+    place = jnp.where(ends, jnp.cumsum(ends) - 1, n_ends)
     ended = jnp.zeros((n_ends, 2)).at[place].set(xy, mode="drop")
     there = jnp.concatenate([on_wall, jnp.arange(n_ends) < jnp.sum(ends)])
     overflow = jnp.maximum(jnp.sum(ends, dtype=jnp.int32) - n_ends, 0)
     return jnp.concatenate([ticks, ended]), there, spacing, overflow
-
-
-def running_sum(values: Array) -> Array:
-    """Compute sums of the first 1, 2, ... values, by doubling."""
-    n = values.shape[0]
-
-    def doubled(i, sums):
-        return sums + lax.dynamic_slice(jnp.pad(sums, (n, 0)), (n - (1 << i),), (n,))
-
-    return lax.fori_loop(0, (n - 1).bit_length(), doubled, values)
 
 
 def far_bound(
@@ -267,14 +257,3 @@ def _turned_left(x, y, to_x, to_y):
     dot, cross = x * to_x + y * to_y, x * to_y - y * to_x
     share = cross / jnp.maximum(jnp.abs(dot) + jnp.abs(cross), 1e-30)
     return jnp.where(dot < 0, 2 - share, jnp.where(cross < 0, 4 + share, share))
-
-
-def nearest(found: Divergence, place: Array) -> tuple[Array, Array]:
-    """Find the triangle whose centre is nearest to a place.
-
-    Returns:
-      `(which, distance_m)`: int32, float32; inf without a triangle.
-    """
-    d2 = jnp.where(found.valid, jnp.sum((found.centre - place) ** 2, axis=1), jnp.inf)
-    which = jnp.argmin(d2).astype(jnp.int32)
-    return which, jnp.sqrt(d2[which])
