@@ -18,6 +18,7 @@ from jexplore.driving.mission import RunOutcome
 from jexplore.driving.params.tree import using
 from jexplore.driving.records import RunMode
 from jexplore.driving.sensing import surround
+from jexplore.driving.sensing.perception import find_divergences
 from jexplore.engine.devices import pinned_draws, random_key
 from jexplore.report.operator_view import RunRecording
 from jexplore.studies.traces.job import TraceJob
@@ -103,7 +104,7 @@ def _frame(key, building, settings, state):
         senses = vehicle.read_sensors(draws, building, robot, noise, state.body)
         after = mission.make_step(draws, building, robot, tuning, noise, state)
         walls = events.walls_of_scan(mission.smooth_senses(senses, robot)[0].ranges_m, tuning, robot)
-        found = events.triangles(*surround.known_points(after.around), walls.beside.min(), tuning)
+        found = find_divergences(*surround.known_points(after.around), tuning)
         best = jnp.argsort(jnp.where(found.valid, jnp.hypot(*found.centre.T), jnp.inf))[:TRIANGLES]
         there = found.valid[best]
         seen = {
