@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jexplore.driving import behaviour
-from jexplore.driving.records import Divergence, Latch, RunMode, ScanWalls
+from jexplore.driving.records import Divergence, Drive, Latch, RunMode, ScanWalls, Track
 from jexplore.driving.sensing.surround import DIRECTIONS
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
 
@@ -43,7 +43,7 @@ def here(xy):
 
 
 def followed(scans, track=None, *, same_m=0.4, may_begin=True, placed=here):
-    track = behaviour.empty_track() if track is None else track
+    track = Track() if track is None else track
     for scan in scans:
         track = behaviour.update_track(track, found(*scan), placed, same_m, may_begin)
     return track
@@ -124,7 +124,7 @@ def test_one_that_may_not_begin_does_not():
 
 def test_free_space_is_entered_where_there_is_room_and_left_between_walls():
     walls, left, right = (1.0, 1.0), (INF, 1.0), (2.45, 2.6)
-    inside, events = jnp.bool_(False), ""
+    inside, border_m, events = jnp.bool_(False), jnp.float32(INF), ""
     for sides, looks, roomy in (
         (walls, True, True),
         (left, True, False),
@@ -134,10 +134,17 @@ def test_free_space_is_entered_where_there_is_room_and_left_between_walls():
         (walls, False, True),
         (walls, True, True),
     ):
-        inside, enters, leaves = behaviour.watch_free_space(inside, *sides, 2.5, jnp.bool_(looks), jnp.bool_(roomy))
-        events += "E" if enters else "L" if leaves else "."
-        assert not (enters and leaves)
+        before, walls_ahead = inside, walls_of(hall_sides=sides, roomy=roomy)
+        inside, border_m, missed = behaviour.watch_free_space(
+            inside, border_m, jnp.float32(10), walls_ahead, jnp.bool_(looks), TUNING
+        )
+        events += "." if inside == before else "E" if inside else "L"
+        # 0.5 m ahead it begins; it has ended before the robot was there.
+        assert float(border_m) == pytest.approx(INF if "E" not in events else 12.9 if "L" in events else 10.5)
+        assert bool(missed) == (events[-1] == "L")
     assert events == "...E..L"
+    again = behaviour.watch_free_space(inside, border_m, jnp.float32(11), walls_of(hall_sides=left), True, TUNING)
+    assert (bool(again[0]), float(again[1]), bool(again[2])) == (True, INF, False)  # a short stretch of walls
 
 
 @pytest.mark.parametrize(
@@ -159,7 +166,7 @@ def test_free_space_has_room_for_a_circle_between_its_walls(left_m, right_m, ope
 
 
 def driving(*, latch=Latch.FREE, target=(0.0, 0.0), turning=0, left_m=1.0, right_m=1.0):
-    return behaviour.initial_drive().replace(
+    return Drive(
         latch=jnp.int32(latch),
         target=jnp.asarray(target, jnp.float32),
         turning=jnp.int32(turning),
@@ -171,20 +178,8 @@ def driving(*, latch=Latch.FREE, target=(0.0, 0.0), turning=0, left_m=1.0, right
 NO_WAY = jnp.zeros(DIRECTIONS)
 
 
-def mode_of(
-    drive=None,
-    *,
-    inside=False,
-    hall_sides=(1.0, 1.0),
-    roomy=True,
-    left_m=1.0,
-    right_m=1.0,
-    closed=False,
-    front_m=5.0,
-    ways_m=NO_WAY,
-):
-    walls = ScanWalls(
-        region=(0.5, 2.9),
+def walls_of(*, hall_sides=(1.0, 1.0), roomy=True, left_m=1.0, right_m=1.0, closed=False, front_m=5.0):
+    return ScanWalls(
         region_sides=tuple(jnp.float32(v) for v in hall_sides),
         roomy=jnp.bool_(roomy),
         closed=jnp.bool_(closed),
@@ -193,8 +188,11 @@ def mode_of(
         right_m=jnp.float32(right_m),
         beside=jnp.zeros(2),
     )
+
+
+def mode_of(drive=None, *, inside=False, ways_m=NO_WAY, **walls):
     drive = driving() if drive is None else drive
-    mode, drive = behaviour.choose_mode(drive, jnp.bool_(inside), walls, ways_m, TUNING, KAMUI)
+    mode, drive = behaviour.choose_mode(drive, jnp.bool_(inside), walls_of(**walls), ways_m, TUNING, KAMUI)
     return RunMode(int(mode)), drive
 
 

@@ -7,10 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from ref.passages import cast
 
 from jexplore.btm import wrapped
 from jexplore.driving import manoeuvre
-from jexplore.driving.building.walls import cast, meets
+from jexplore.driving.building.walls import meets
 from jexplore.driving.manoeuvre import TRAIL_POSES
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import Surround, Walls
@@ -40,7 +41,7 @@ def of(*xy):
 def driven(now, around=None, ways=FREE, pose=HERE, bearing=0.0, turning=0, touched=False, tuning=TUNING):
     """`(after, v, omega)`."""
     ways, pose = (jnp.asarray(a, jnp.float32) for a in (ways, pose))
-    around = surround.empty_surround() if around is None else around
+    around = Surround() if around is None else around
     args = jnp.float32(bearing), jnp.int32(turning), jnp.bool_(touched), tuning
     after, v, omega = _drive(now, around, ways, pose, *args)
     return after, float(v), float(omega)
@@ -197,7 +198,7 @@ def _steps(now, around, pose, targets):
 def test_it_backs_out_of_a_dead_end_and_turns_outside():
     pose = jnp.array((-0.8, 0.08, -0.1))
     now, targets = manoeuvre.initial_manoeuvre(pose), jnp.array([(1.0, 0.0), (-2.0, 0.0)])
-    poses, backed, met = map(np.asarray, _steps(now, surround.empty_surround(), pose, targets))
+    poses, backed, met = map(np.asarray, _steps(now, Surround(), pose, targets))
     assert not met.any()
     x, y, heading = poses.T
     assert x.max() > 0.4

@@ -6,11 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from ref.passages import cast
 
-from jexplore.driving.building.walls import UNUSED_SLOT_M, cast
+from jexplore.driving.building.walls import UNUSED_SLOT_M
 from jexplore.driving.records import Walls
 from jexplore.driving.sensing import matching
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, SCAN_RANGE_M
+from jexplore.slam2d.scans import fit_lines
 
 pytestmark = pytest.mark.jit
 
@@ -58,7 +60,7 @@ def off(found, motion):
 def test_a_line_is_laid_through_five_points_within_reach(within, there):
     apart = float(ANGLES_RAD[1] - ANGLES_RAD[0])
     ranges = jnp.full(BEAMS, matching.MATCH.line_reach_m / within / apart)  # a wall around the scanner
-    assert matching._fit_lines(ranges)[2][BEAMS // 2] == there
+    assert fit_lines(matching.MATCH, *matching._ends(ranges))[2][BEAMS // 2] == there
 
 
 @pytest.mark.parametrize(("pose", "motion"), [*zip(POSES, MOTIONS)])

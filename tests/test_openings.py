@@ -6,10 +6,10 @@ import math
 import jax
 import numpy as np
 import pytest
-from ref.passages import FEATURES, WIDTHS_M, building, wall
+from ref.passages import FEATURES, WIDTHS_M, building, cast, wall
 
 from jexplore.driving import vehicle
-from jexplore.driving.building import walls
+from jexplore.driving.records import Surround
 from jexplore.driving.sensing import openings, surround
 from jexplore.driving.settings import Tuning, for_world
 from jexplore.driving.vehicle import ANGLES_RAD, SCAN_RANGE_M
@@ -36,7 +36,7 @@ def openings_of(xy, centre=(0, 0), radius_m=1.0, width_m=TUNING.width_m, size=K,
     seen_from = None if seen_from is None else np.float32(seen_from)
     found = find_openings(*padded(xy), *numbers, circle=circle, size=size, seen_from=seen_from)
     valid = np.asarray(found.valid)
-    assert found.bearing.shape == found.across.shape == found.width_m.shape == valid.shape == (size,)
+    assert found.bearing.shape == found.width_m.shape == valid.shape == (size,)
     assert found.middle.shape == (size, 2)
     assert not valid[valid.sum() :].any()
     return found
@@ -50,10 +50,10 @@ def bearings_of(xy, *args, **more):
 
 
 def rows_of(xy, *args, **more):
-    """`(bearing and direction of the passage in degrees, middle)` of every opening, its width."""
+    """`(bearing in degrees, middle)` of every opening, its width."""
     found = openings_of(xy, *args, **more)
     valid = np.asarray(found.valid)
-    rows = np.stack([np.degrees(found.bearing), np.degrees(found.across), *np.asarray(found.middle).T], axis=1)
+    rows = np.stack([np.degrees(found.bearing), *np.asarray(found.middle).T], axis=1)
     return rows[valid], np.asarray(found.width_m)[valid]
 
 
@@ -135,10 +135,10 @@ def test_the_narrowest_place_of_an_opening_and_the_direction_square_to_it():
         xy = np.concatenate([wall((-3, 3), (1, 1)), wall((-3, 3), (-1, -1))])
         turn = math.radians(lean_deg)
         found, widths = rows_of(xy @ np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]]))
-        np.testing.assert_allclose(wrapped_deg(2 * (found[:, :2] - lean_deg)), 0, atol=1.5)  # either way
-        away = np.hypot(*found[:, 2:].T)
+        np.testing.assert_allclose(wrapped_deg(2 * (found[:, :1] - lean_deg)), 0, atol=1.5)  # either way
+        away = np.hypot(*found[:, 1:].T)
         assert ((away > 0.6) & (away < 1.12)).all()
-        np.testing.assert_allclose(wrapped_deg(np.degrees(np.arctan2(*found[:, :1:-1].T)) - found[:, 1]), 0, atol=1.5)
+        np.testing.assert_allclose(wrapped_deg(np.degrees(np.arctan2(*found[:, :0:-1].T)) - found[:, 0]), 0, atol=1.5)
         np.testing.assert_allclose(widths, 2, atol=0.01)
 
 
@@ -151,10 +151,10 @@ def look_round(walls_, poses, noise_m, far_m=4.0):
         pose, noise_m = at
         ahead, aside = vehicle.to_robot(before)(pose[:2])
         around = surround.move_surround(around, ahead, aside, pose[2] - before[2], far_m=far_m)
-        around = surround.add_scan(around, walls.cast(walls_, pose, ANGLES_RAD, SCAN_RANGE_M) + noise_m)
+        around = surround.add_scan(around, cast(walls_, pose, ANGLES_RAD, SCAN_RANGE_M) + noise_m)
         return (around, pose), 0
 
-    (around, pose), _ = jax.lax.scan(looked, (surround.empty_surround(), poses[0]), (poses, noise_m))
+    (around, pose), _ = jax.lax.scan(looked, (Surround(), poses[0]), (poses, noise_m))
     xy, known = surround.known_points(around)
     return vehicle.to_odometry(pose)(xy), known
 

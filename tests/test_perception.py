@@ -7,15 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from ref.passages import EAST, FEATURES, WIDTHS_M, building
+from ref.passages import EAST, FEATURES, WIDTHS_M, building, cast
 
 from jexplore.arrays.delaunay import circumcircles, delaunay
 from jexplore.driving import vehicle
-from jexplore.driving.building import terrain, walls
-from jexplore.driving.events import SCAN_POINTS
-from jexplore.driving.events import triangles as look
+from jexplore.driving.building import terrain
 from jexplore.driving.sensing import ground_profile, obstacles, perception
 from jexplore.driving.sensing.ground_profile import RISE_M
+from jexplore.driving.sensing.perception import SCAN_POINTS
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, SCAN_RANGE_M
 
@@ -58,25 +57,6 @@ def test_points_by_hand():
     np.testing.assert_array_equal(valid, [True, True, False, False, True, True])
     np.testing.assert_allclose(xy, [[0, -2], [1, 0], [0, 0], [0, 0], [0, 3], [2 * math.sqrt(3), 2]], atol=1e-6)
     assert xy.dtype == jnp.float32
-
-
-def test_a_few_beams_that_fail_are_bridged():
-    ranges = np.full(BEAMS, 2.0, np.float32)
-    ranges[100:] = 2.1
-    for missed, n in (((50,), 0), ((50, 51, 52), 0), ((50, 51, 52, 53), 4), ((99, 100), 0), ((0, 1), 2), ((180,), 1)):
-        some = ranges.copy()
-        some[list(missed)] = np.nan
-        xy, valid = points(some, ANGLES_RAD)
-        assert BEAMS - int(np.sum(valid)) == n, missed
-        distance = np.hypot(*np.asarray(xy).T)[np.asarray(valid)]
-        assert distance.min() > 1.99
-        assert distance.max() < 2.11
-    for jump, gap, n in ((2.19, np.nan, 0), (2.1, np.inf, 1)):  # one wall, nothing there
-        ranges[100:] = jump
-        some = ranges.copy()
-        some[99] = gap
-        for scan in (some, some[::-1]):
-            assert BEAMS - int(np.sum(points(scan, ANGLES_RAD)[1])) == n
 
 
 def test_no_reading_at_all():
@@ -188,20 +168,12 @@ def test_where_the_points_do_not_fit_the_spacing_grows():
     assert overflow == 4 - len(ends)
 
 
-def test_far_bound_by_hand():
-    assert float(perception.far_bound(4.0, 0.39, math.pi / 180, 0.2)) == pytest.approx(2.0076, abs=1e-3)
-    assert float(perception.far_bound(4.0, 0.39, math.pi / 180, 1.0)) == 4.0
-    assert float(perception.far_bound(4.0, 0.39, math.pi / 180, math.inf)) == 4.0
-    assert float(perception.far_bound(4.0, 0.39, math.pi / 180, 0.0)) == 0.0
-
-
 @jax.jit
 def look_from(walls_, pose, tuning, noise_m):
     """`(divergence, centres in the world)`."""
-    ranges = walls.cast(walls_, pose, ANGLES_RAD, SCAN_RANGE_M) + noise_m
+    ranges = cast(walls_, pose, ANGLES_RAD, SCAN_RANGE_M) + noise_m
     xy, valid = points(ranges, ANGLES_RAD)
-    beside = jnp.stack(sides(xy, valid, 0, KAMUI.length_m / 2)).min()
-    found = look(xy, valid, beside, tuning)
+    found = perception.find_divergences(xy, valid, tuning)
     return found, vehicle.to_odometry(pose)(found.centre)
 
 
@@ -229,7 +201,7 @@ def test_a_straight_passage_shows_nothing(width_m):
 @pytest.mark.parametrize("name", FEATURES)
 @pytest.mark.parametrize("width_m", WIDTHS_M)
 def test_the_circle_lies_where_three_walls_are_equally_far(name, width_m):
-    """Within 4 cm and 2 % of the width: corners are rounded by as much as points are smoothed and beams are apart."""
+    """Within 5 cm and 2 % of the width: corners are rounded by as much as points are smoothed and beams are apart."""
     arms, where, radius, _ = FEATURES[name]
     place = building(arms, width_m)
     for further, y, heading in itertools.product((0.5, 0.8, 1.0), (-0.1, 0.1), (-0.1, 0, 0.1)):
@@ -237,9 +209,9 @@ def test_the_circle_lies_where_three_walls_are_equally_far(name, width_m):
         centres, radii = seen_from(place, -back, y * width_m, heading)
         assert len(centres) >= 1, (back, y, heading)
         np.testing.assert_allclose(
-            centres, np.tile(np.array(where) * width_m, (len(centres), 1)), atol=0.04 + 0.02 * width_m
+            centres, np.tile(np.array(where) * width_m, (len(centres), 1)), atol=0.05 + 0.02 * width_m
         )
-        np.testing.assert_allclose(radii, radius * width_m, atol=0.04 + 0.02 * width_m)
+        np.testing.assert_allclose(radii, radius * width_m, atol=0.05 + 0.02 * width_m)
 
 
 def one_wall_by_angles(xy, valid, centre, corner, recess_m):
@@ -442,10 +414,14 @@ def test_the_order_of_the_points_does_not_matter():
     assert float(one.step_m) == pytest.approx(float(other.step_m), abs=0.005)  # points at edges of the way's cells
 
 
-def test_a_riser_between_treads_of_any_length():
-    for steps in ([0.4, 0.7, 1.0], [0.4, 1.4, 2.4], [1.5]):
-        z = 0.1 * np.searchsorted(steps, WAY) + 0.02 * (WAY > 0.8) * (len(steps) == 3 and steps[1] > 1)
-        assert float(profile_of(WAY, z).riser_m) == pytest.approx(0.1, abs=1e-4)
+@pytest.mark.parametrize("tread_m", [0.22, 0.25, 0.3, 0.31, 0.4])
+def test_a_riser_is_told_through_noise(tread_m):
+    rng = np.random.default_rng(0)
+    for riser_m in (-0.06, 0.1, 0.2):
+        z = staircase(WAY, tread_m, riser_m)
+        assert float(profile_of(WAY, z).riser_m) == pytest.approx(abs(riser_m), rel=0.04)
+        noisy = [profile_of(WAY, z + rng.normal(scale=0.01, size=len(WAY))).riser_m for _ in range(20)]
+        np.testing.assert_allclose(noisy, abs(riser_m), atol=0.01)
     assert float(profile_of(WAY, 0 * WAY).riser_m) == 0
 
 

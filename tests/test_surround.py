@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from ref.passages import cast
 
-from jexplore.driving.building.walls import cast
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import Surround, Walls
 from jexplore.driving.sensing import surround
@@ -67,7 +67,7 @@ def room_scan(heading):
 
 
 def test_nothing_is_known_at_first():
-    around = surround.empty_surround()
+    around = Surround()
     xy, known = surround.known_points(around)
     assert not known.any()
     np.testing.assert_array_equal(xy, np.zeros((SECTORS, 2)))
@@ -121,7 +121,7 @@ def test_seen_is_what_a_loop_over_all_directions_finds(seed):
 @pytest.mark.parametrize("goes_on_seeing", [True, False])
 def test_a_full_turn_in_place_keeps_every_point_at_its_place(goes_on_seeing):
     """Points are not moved to the middles of their directions: with every step of 8.6 degrees that would add up."""
-    around = ADD_SCAN(surround.empty_surround(), room_scan(0.0))
+    around = ADD_SCAN(Surround(), room_scan(0.0))
     around = MOVE(around, 0.0, 0.0, math.pi)
     around = ADD_SCAN(around, room_scan(math.pi))
     steps = 42

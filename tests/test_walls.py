@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from ref import beams as oracle
 from ref import maps
+from ref.passages import cast
 
-from jexplore.driving.building.walls import UNUSED_SLOT_M, cast, meets, segments, walls_of
+from jexplore.driving.building.walls import UNUSED_SLOT_M, meets, segments, walls_of
 from jexplore.driving.records import Walls
 
 QUARTERS = np.radians([0, 90, 180, -90]).astype(np.float32)

@@ -9,30 +9,17 @@ from collections.abc import Callable
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jexplore.driving import manoeuvre
 from jexplore.driving.params.tree import P
-from jexplore.driving.records import (
-    Divergence,
-    Drive,
-    Latch,
-    RunMode,
-    ScanWalls,
-    Track,
-)
-from jexplore.driving.sensing import perception
-from jexplore.driving.settings import Robot, Tuning
+from jexplore.driving.records import Divergence, Drive, Latch, RunMode, ScanWalls, Track
+from jexplore.driving.sensing.surround import DIRECTIONS
+from jexplore.driving.settings import WHOLE, Robot, Tuning
 
-VOTING_SCANS = 9  # scans that vote
-
-
-def empty_track() -> Track:
-    """Return a `Track` with nothing ahead."""
-    return Track(jnp.zeros(2), jnp.float32(0), jnp.uint32(0), jnp.int32(0))
+VOTING_SCANS = WHOLE["votes"]  # scans that vote
 
 
 def votes(track: Track) -> Array:
     """Count the scans among the last `VOTING_SCANS` that showed the divergence: int32."""
-    return lax.population_count(track.seen).astype(jnp.int32)
+    return lax.population_count(track.seen)
 
 
 def is_believed(track: Track, needed: Array | int) -> Array:
@@ -65,13 +52,13 @@ def update_track(
     near = placed.valid & (jnp.sum((placed.centre - track.centre) ** 2, axis=1) < same_m**2)
     again = jnp.argmax(jnp.where(near, placed.radius, -1)).astype(jnp.int32)
     hit = followed & near[again]
-    first, distance = perception.nearest(found, jnp.zeros(2))
-    begins = may_begin & ~hit & (~followed | (votes(track) <= P.motion.replaceable_votes)) & (distance < jnp.inf)
+    first = jnp.argmin(jnp.where(found.valid, jnp.sum(found.centre**2, axis=1), jnp.inf)).astype(jnp.int32)
+    begins = may_begin & ~hit & (~followed | (votes(track) <= P.motion.replaceable_votes)) & found.valid[first]
     followed &= ~begins
     which = jnp.where(hit, again, first)
     share = jnp.where(hit, 1 / jnp.minimum(track.age + 1.0, VOTING_SCANS), 1.0)
     taken = hit | begins
-    seen = jnp.where(followed, (track.seen << 1) & jnp.uint32(2**VOTING_SCANS - 1), 0) | taken.astype(jnp.uint32)
+    seen = jnp.where(followed, (track.seen << 1) & (2**VOTING_SCANS - 1), 0) | taken
     going = (followed | begins) & (seen != 0)
 
     def blended(old, new):
@@ -98,63 +85,26 @@ def is_free_space(left_m: Array | float, right_m: Array | float, open_m: Array |
 
 
 def watch_free_space(
-    inside: Array,
-    left_m: Array | float,
-    right_m: Array | float,
-    open_m: Array | float,
-    looking: Array | bool,
-    roomy: Array | bool = True,
+    inside: Array, border_m: Array, odometer_m: Array, walls: ScanWalls, looks: Array | bool, tuning: Tuning
 ) -> tuple[Array, Array, Array]:
-    """Judge by the walls of one more scan whether the robot is in free space.
-
-    Args:
-      inside: bool, whether it was.
-      looking: bool; False: nothing changes.
-      roomy: from `perception.is_roomy`; where it is False, no free space is entered.
-
-    Returns:
-      `(inside, enters, leaves)`: bools, the last two true in the step in which it changes.
-    """
-    free = is_free_space(left_m, right_m, open_m) & (roomy | inside)
-    changes = looking & (free != inside)
-    return inside ^ changes, changes & ~inside, changes & inside
-
-
-def border_ahead(
-    border_m: Array, odometer_m: Array, enters: Array, leaves: Array, region: tuple[Array | float, Array | float]
-) -> tuple[Array, Array]:
-    """Track the border of a free space that the robot sees ahead.
+    """Judge by the walls of one more scan whether the robot is in free space, and where it will cross its border.
 
     If the free space begins again before the robot has come to its end, it has not ended: a stretch of walls shorter
     than the observed region does not divide it.
 
     Args:
+      inside: bool, whether it was.
       border_m: float32, odometer at the border seen before, inf without one.
-      odometer_m: float32, now.
-      enters, leaves: bools, from `watch_free_space`.
-      region: begin and end of the observed region, metres ahead.
+      looks: bool; False: nothing changes.
 
     Returns:
-      `(border_m, missed)`: updated; bool, the free space ended before the robot reached its beginning.
+      `(inside, border_m, missed)`: updated; bool, the free space ended before the robot reached its beginning.
     """
-    waits = jnp.isfinite(border_m)
-    after_m = jnp.where(enters, jnp.where(waits, jnp.inf, odometer_m + region[0]), border_m)
-    return jnp.where(leaves, odometer_m + region[1], after_m), waits & leaves
-
-
-def initial_drive() -> Drive:
-    """Return an empty memory; passages count as two metres wide until a wall is seen."""
-    return Drive(
-        latch=jnp.int32(Latch.FREE),
-        target=jnp.zeros(2),
-        since=jnp.int32(0),
-        out=jnp.float32(0),
-        looked=jnp.float32(0),
-        looked_m=jnp.float32(-jnp.inf),
-        turning=jnp.int32(0),
-        left_m=jnp.float32(1),
-        right_m=jnp.float32(1),
-    )
+    free = is_free_space(*walls.region_sides, tuning.open_m) & (walls.roomy | inside)
+    changes, waits, (begin_m, end_m) = looks & (free != inside), jnp.isfinite(border_m), tuning.region
+    leaves = changes & inside
+    after_m = jnp.where(changes & ~inside, jnp.where(waits, jnp.inf, odometer_m + begin_m), border_m)
+    return inside ^ changes, jnp.where(leaves, odometer_m + end_m, after_m), waits & leaves
 
 
 def choose_mode(
@@ -167,11 +117,12 @@ def choose_mode(
         to the larger side, from a wall near one half of its front to the other.
     """
     left_m, right_m, fronts_m = walls.left_m, walls.right_m, walls.fronts_m
-    guarded = (jnp.minimum(*fronts_m) < robot.length_m / 2) & ~manoeuvre.is_free_ahead(ways_m, P.motion.go_m)
-    closed = walls.closed & ~manoeuvre.is_free_ahead(ways_m, P.motion.past_end_m)
+    ahead_m = ways_m[DIRECTIONS // 2]
+    guarded = (jnp.minimum(*fronts_m) < robot.length_m / 2) & (ahead_m < P.motion.go_m)
+    closed = walls.closed & (ahead_m < P.motion.past_end_m)
     latched = drive.latch != Latch.FREE
     # One scan suffices to drive by, several in a row make a node.
-    free = inside | (is_free_space(walls.region_sides[0], walls.region_sides[1], tuning.open_m) & walls.roomy)
+    free = inside | (is_free_space(*walls.region_sides, tuning.open_m) & walls.roomy)
     mode = jnp.where(free, RunMode.WALL_FOLLOWING, RunMode.CENTRAL)
     mode = jnp.where(closed, RunMode.DEAD_END, mode)
     mode = jnp.where(latched, RunMode.BRANCH_SELECTION, mode)

@@ -14,35 +14,16 @@ from jexplore.btm import wrapped
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import Manoeuvre, Surround
 from jexplore.driving.sensing import surround
-from jexplore.driving.sensing.surround import DIRECTION, DIRECTIONS
+from jexplore.driving.sensing.surround import DIRECTION
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import DT_S
 
 TRAIL_POSES = 256  # poses of the way here that are kept
-# Shares of the speed, and turn rates, rad/s, of a robot that cannot go back as it came; the first is straight back.
-OTHER_MOTIONS = (
-    (-0.5, 0.0),
-    *((v, turn) for v in (-0.5, 0.5) for turn in (-1.0, -0.5, 0.5, 1.0)),
-    (0.5, 0.0),
-    (0, 1),
-    (0, -1),
-)
 
 
 def initial_manoeuvre(pose: Array) -> Manoeuvre:
     """Return an empty memory at a pose `[3]`."""
-    return Manoeuvre(
-        trail=jnp.zeros((TRAIL_POSES, 3)).at[0].set(pose),
-        length=jnp.int32(1),
-        kept=jnp.int32(1),
-        backing=jnp.bool_(False),
-        backed_m=jnp.float32(0),
-    )
-
-
-def is_free_ahead(ways_m: Array, long_m: float) -> Array:
-    """Return whether the way straight ahead is free over a length, metres: bool."""
-    return ways_m[DIRECTIONS // 2] >= long_m
+    return Manoeuvre(trail=jnp.zeros((TRAIL_POSES, 3)).at[0].set(pose))
 
 
 def extend_trail(now: Manoeuvre, pose: Array) -> Manoeuvre:
@@ -83,17 +64,16 @@ def avoid_obstacles(
     v = jnp.where(turning != 0, 0, speed * jnp.maximum(jnp.cos(course), 0))
     omega = jnp.where(turning != 0, turning * robot.max_turn_rad_s / 2, tuning.turn_gain * course)
     omega = jnp.clip(omega, -robot.max_turn_rad_s, robot.max_turn_rad_s)
-    v = jnp.where(_meets(around, robot, v * P.motion.ahead_s, omega * P.motion.ahead_s), 0, v)
+    room_m = _room_m(around, robot, v * P.motion.ahead_s, omega * P.motion.ahead_s)
+    v = jnp.where(room_m < P.motion.outline_slack_m, 0, v)
     in_place = (turning != 0) | (v < 0.25 * speed)
     v = jnp.where(in_place, 0, v)
     wanted = jnp.where(turning != 0, jnp.pi, jnp.abs(course))
 
     starts, enough = _backs(now, around, robot, in_place, wanted, omega, touched)
     goes = (now.backing | starts) & (now.kept > 1)
-    still = jnp.float32(0), jnp.float32(0), now.length, jnp.bool_(False)
-    back_v, back_omega, length, wedged = run_if(goes, lambda _: _back(now, around, robot, pose, speed), still)
-    # Nor does it go back farther where that leads nowhere and the way that it wants is free.
-    enough |= wedged & ~in_place & (now.backed_m >= P.motion.min_back_m)
+    still = jnp.float32(0), jnp.float32(0), now.length
+    back_v, back_omega, length = run_if(goes, lambda _: _back(now, around, robot, pose, speed), still)
     backing = goes & ~(now.backing & enough)
     after = now.replace(
         backing=backing,
@@ -119,11 +99,6 @@ def _room_m(around, robot, ahead_m, turn):
     return jnp.min(jnp.where(known, outside, jnp.inf))
 
 
-def _meets(around, robot, ahead_m, turn):
-    """Return whether the robot's outline meets a point after a short motion."""
-    return _room_m(around, robot, ahead_m, turn) < P.motion.outline_slack_m
-
-
 def _backs(now, around, robot, in_place, wanted, omega, touched):
     """Decide about backing up: `(starts, enough)`. It starts when the robot cannot turn as wanted or has touched
     something; `enough`: it has backed far enough."""
@@ -140,19 +115,16 @@ def _backs(now, around, robot, in_place, wanted, omega, touched):
 
 
 def _back(now, around, robot, pose, speed):
-    """Return speed and turn rate to the previous pose: `(v, omega, length, wedged)`; poses left; whether it can go
-    neither there nor straight back. Then it goes by the motion that leads farthest."""
+    """Return speed and turn rate to the previous pose, or straight back where only that is free: `(v, omega, length)`;
+    poses left."""
     goal = now.trail[(now.length - 1) % TRAIL_POSES]
     offset = goal[:2] - pose[:2]
     behind = -(offset[0] * jnp.cos(pose[2]) + offset[1] * jnp.sin(pose[2]))
     turn = wrapped(goal[2] - pose[2])
     v, omega = -jnp.clip(behind / DT_S, 0, speed), jnp.clip(turn / DT_S, -1.0, 1.0)
     near = (behind < P.motion.trail_m / 2) & (jnp.abs(turn) < P.motion.trail_rad)
-    others = jnp.asarray(OTHER_MOTIONS) * jnp.stack([speed, jnp.float32(1)])
-    motions = jnp.concatenate([jnp.stack([v, omega])[None], others])
+    motions = jnp.stack([jnp.stack([v, omega]), jnp.stack([-speed / 2, jnp.float32(0)])])
     room_m = jax.vmap(lambda way: _room_m(around, robot, way[0] * P.motion.ahead_s, way[1] * P.motion.ahead_s))(motions)
-    # As planned, or straight back; where neither is free, the motion that leads farthest.
-    free = room_m[:2] >= P.motion.outline_slack_m
-    best = jnp.where(jnp.any(free), jnp.argmax(free), jnp.argmax(room_m))
-    near |= (best != 0) & (jnp.hypot(offset[0], offset[1]) < P.motion.min_back_m)
-    return *motions[best], jnp.where(near, now.length - 1, now.length), ~jnp.any(free)
+    which = jnp.argmax(room_m >= P.motion.outline_slack_m)
+    near |= (which != 0) & (jnp.hypot(offset[0], offset[1]) < P.motion.min_back_m)
+    return *motions[which], jnp.where(near, now.length - 1, now.length)

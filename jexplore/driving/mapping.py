@@ -7,6 +7,7 @@ evenly again.
 
 import math
 
+import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
@@ -17,24 +18,16 @@ from jexplore.driving.params.tree import P
 from jexplore.driving.records import Latch, RunMode, Senses, SlopeEstimate, State, Trajectory, Writer
 from jexplore.driving.sensing import ground_profile, smoothing
 from jexplore.driving.settings import Robot
-from jexplore.driving.vehicle import down_directions
+from jexplore.driving.vehicle import down_directions, rotate_by
 
 SLOPE_STEPS = 32  # steps in which the noise of the attitude is told
 
 
 def no_way(size: int) -> Trajectory:
     """Return a way of no steps; `size` static."""
-    return Trajectory(
-        odometer_m=jnp.full(size, jnp.inf),
-        pose=jnp.zeros((size, 3)),
-        pitch=jnp.zeros(size),
-        roll=jnp.zeros(size),
-        posture=jnp.zeros(size),
-        width_m=jnp.full(size, jnp.inf),
-        ground_x_m=jnp.full(size, jnp.inf),
-        ground_z_m=jnp.zeros(size),
-        mode=jnp.full(size, -1, jnp.int32),
-    )
+    far, zeros, modes = jnp.full(size, jnp.inf), jnp.zeros(size), jnp.full(size, -1, jnp.int32)
+    angles, poses = {"pitch": zeros, "roll": zeros, "posture": zeros}, jnp.zeros((size, 3))
+    return Trajectory(odometer_m=far, pose=poses, width_m=far, ground_x_m=far, ground_z_m=zeros, mode=modes, **angles)
 
 
 def begin_map(n_steps: int, n_nodes: int, n_links: int, pose: Array, behind: Array | bool) -> Writer:
@@ -45,39 +38,21 @@ def begin_map(n_steps: int, n_nodes: int, n_links: int, pose: Array, behind: Arr
     map_, node = btm.add_node(btm.empty(n_nodes, n_links), btm.TERMINAL, pose[0], pose[1])
     map_, link = btm.add_link(map_, node, pose[2])
     map_, _ = btm.add_link(map_, node, pose[2] + math.pi, when=behind)
-    zero = jnp.float32(0)
-    return Writer(
-        map=map_,
-        way=no_way(n_steps),
-        node=node,
-        node_m=zero,
-        link=link,
-        left_bearing=jnp.float32(1) * pose[2],
-        entry=jnp.zeros(2),
-        level=SlopeEstimate(
-            even=jnp.zeros(2),
-            anchor=jnp.zeros(2),
-            anchor_m=zero,
-            stands=jnp.bool_(False),
-            left_m=zero,
-            since_m=zero,
-        ),
-        lone_step=ground_profile.no_step(),
-        border_m=jnp.float32(jnp.inf),
-        passed=jnp.array([0.0, 0.0, 0.0, -jnp.inf], jnp.float32),
-        tries=jnp.zeros(n_links, jnp.int32),
-        fails=jnp.zeros(n_links, jnp.int32),
-        last_chance=jnp.int32(-1),
-        exhausted=jnp.bool_(False),
-        full=jnp.bool_(False),
-        origin=jnp.zeros(3).at[:2].set(pose[:2]),
-    )
+    own = {"left_bearing": jnp.float32(1) * pose[2], "origin": jnp.zeros(3).at[:2].set(pose[:2])}
+    return Writer(map=map_, way=no_way(n_steps), link=link, tries=jnp.zeros(n_links, jnp.int32), **own)
 
 
 def slope_under(pitch: Array, roll: Array, heading: Array) -> Array:
     """Return direction and angle of the slope under a robot: `[2, ...]`, radians, in the frame of the heading."""
     cos, sin = jnp.cos(heading), jnp.sin(heading)
     return jnp.stack([-pitch * cos - roll * sin, -pitch * sin + roll * cos])
+
+
+def last_steps(way: Trajectory, step: Array, n: int) -> tuple[Trajectory, Array]:
+    """Return the last n steps of a way, n static, and how long ago each was: `[n]` int32, below 0 for none."""
+    first = jnp.clip(step + 1 - n, 0, way.pitch.shape[0] - n)
+    last = jax.tree.map(lambda a: lax.dynamic_slice_in_dim(a, first, n), way)
+    return last, step - first - jnp.arange(n)
 
 
 def slope_at(way: Trajectory, step: Array) -> tuple[Array, Array]:
@@ -92,14 +67,10 @@ def slope_at(way: Trajectory, step: Array) -> tuple[Array, Array]:
       `(lean, odometer_m)`: `[2]` float32, radians, averaged over as many steps as the noise of the pitch requires;
         float32, in the middle of these steps.
     """
-    first = jnp.clip(step + 1 - SLOPE_STEPS, 0, way.pitch.shape[0] - SLOPE_STEPS)
-    pitch, roll, odometer_m = (
-        lax.dynamic_slice(a, (first,), (SLOPE_STEPS,)) for a in (way.pitch, way.roll, way.odometer_m)
-    )
-    heading = lax.dynamic_slice(way.pose, (first, 2), (SLOPE_STEPS, 1))[:, 0]
-    age = step - first - jnp.arange(SLOPE_STEPS)
-    share = smoothing.mean_weights(pitch, age)
-    return slope_under(pitch, roll, heading) @ share, share @ jnp.where(age >= 0, odometer_m, 0)
+    last, age = last_steps(way, step, SLOPE_STEPS)
+    share = smoothing.mean_weights(last.pitch, age)
+    lean = slope_under(last.pitch, last.roll, last.pose[:, 2]) @ share
+    return lean, share @ jnp.where(age >= 0, last.odometer_m, 0)
 
 
 def update_slope(
@@ -142,18 +113,13 @@ def update_slope(
     return after, changed, crease, steepest
 
 
-def pose_from_node(writer: Writer, centre: Array, turn: Array | float) -> Array:
-    """Return the odometry pose of a node in the frame of the last one.
+def moved_from_node(writer: Writer, centre: Array, turn: Array | float) -> dict[str, Array]:
+    """Return the odometry pose of a node in the frame of the last one, as fields of the link between them.
 
-    Args:
-      turn: of its own frame against the odometry's, radians.
-
-    Returns:
-      `[3]` float32: x, y, metres; turn of its own frame, radians, NaN if unknown.
+    `turn` is that of its own frame against the odometry's, radians, NaN if unknown.
     """
-    cos, sin = jnp.cos(writer.origin[2]), jnp.sin(writer.origin[2])
-    x, y = centre - writer.origin[:2]
-    return jnp.stack([cos * x - sin * y, sin * x + cos * y, btm.wrapped(writer.origin[2] - turn)])
+    x_m, y_m = rotate_by(writer.origin[2])(centre - writer.origin[:2])
+    return {"moved_x_m": x_m, "moved_y_m": y_m, "turned": btm.wrapped(writer.origin[2] - turn)}
 
 
 def pose_at(way: Trajectory, odometer_m: Array | float) -> Array:
@@ -175,6 +141,13 @@ def way_extremes(way: Trajectory, from_m: Array | float, to_m: Array | float) ->
     return width, posture, roll
 
 
+def link_measures(writer: Writer, odometer_m: Array) -> dict[str, Array]:
+    """Return measures of the way since the last node, as fields of a link."""
+    width_m, posture_deg, roll_deg = way_extremes(writer.way, writer.node_m, odometer_m)
+    found = {"length_m": odometer_m - writer.node_m, "min_width_m": width_m}
+    return found | {"link_posture_deg": posture_deg, "max_roll_deg": roll_deg}
+
+
 def has_left(writer: Writer, odometer_m: Array | float, leave_m: Array | float) -> Array:
     """Return whether the robot has gone twice the distance for leaving the last node: it may return to it."""
     last = jnp.minimum(writer.node, writer.map.kind.shape[0] - 1)
@@ -189,20 +162,6 @@ def came_from(writer: Writer, centre: Array, radius: Array) -> Array:
     outside = jnp.hypot(*(writer.way.pose[:, :2] - centre).T) >= radius
     last = jnp.max(jnp.where(outside & _since_node(writer), jnp.arange(outside.shape[0]), -1))
     return jnp.where(last >= 0, writer.way.pose[last, :2], writer.entry)
-
-
-def came_through(writer: Writer, middles: Array, across: Array, width_m: Array) -> Array:
-    """Return the last step since the last node at which the robot was beyond an opening: `[K]` int32, -1 for none."""
-    offset = writer.way.pose[:, :2] - middles[:, None]  # [K, T, 2]
-    cos, sin = jnp.cos(across)[:, None], jnp.sin(across)[:, None]
-    out_m, aside_m = offset[..., 0] * cos + offset[..., 1] * sin, offset[..., 1] * cos - offset[..., 0] * sin
-    there = (
-        (out_m > -P.graph.beyond_opening_m[0])
-        & (out_m < P.graph.beyond_opening_m[1])
-        & (jnp.abs(aside_m) < width_m[:, None] / 2)
-    )
-    there &= _since_node(writer)
-    return jnp.max(jnp.where(there, jnp.arange(there.shape[1]), -1), axis=1)
 
 
 def end_broken_off(writer: Writer, pose: Array, odometer_m: Array, steps: Array, when: Array) -> tuple[Btm, Array]:
@@ -221,11 +180,8 @@ def end_broken_off(writer: Writer, pose: Array, odometer_m: Array, steps: Array,
     def ended(map_):
         gone = jnp.arange(writer.way.odometer_m.shape[0]) < steps
         way = writer.way.replace(odometer_m=jnp.where(gone, writer.way.odometer_m, jnp.inf))
-        width_m, posture_deg, roll_deg = way_extremes(way, writer.node_m, odometer_m)
+        found = link_measures(writer.replace(way=way), odometer_m) | moved_from_node(writer, pose[:2], 0.0)
         map_, node = btm.add_node(map_, btm.TERMINAL, pose[0], pose[1])
-        found = {"length_m": odometer_m - writer.node_m, "min_width_m": width_m}
-        found |= {"link_posture_deg": posture_deg, "max_roll_deg": roll_deg}
-        found |= dict(zip(("moved_x_m", "moved_y_m", "turned"), pose_from_node(writer, pose[:2], 0.0)))
         map_ = btm.end_link(map_, link, node, pose[2] + math.pi, **found)
         return btm.add_link(map_, node, pose[2])[0]
 

@@ -93,41 +93,18 @@ def _is_open(building):
 
 def initial_state(setup: Setup, building: Building, robot: Robot, start: Array) -> State:
     """Return the state before the first step, without random numbers. `setup` static; `start` from `batch.pose_in`."""
-    zero, none = jnp.float32(0), jnp.int32(0)
     start = jnp.asarray(start, jnp.float32)
     return State(
         body=initial_body(building, robot, start),
         estimate=start,
         odometry=start,
-        around=surround.empty_surround(),
         scanned=start,
         key=matching.no_key(start),
         manoeuvre=manoeuvre.initial_manoeuvre(start),
-        touched=jnp.bool_(False),
-        odometer_m=zero,
-        climbed_m=zero,
-        track=behaviour.empty_track(),
-        inside=jnp.bool_(False),
-        drive=behaviour.initial_drive(),
         writer=mapping.begin_map(setup.room, setup.n_nodes, setup.n_links, start, _is_open(building)),
-        scan_overflow=none,
-        mode=none,
-        target=jnp.zeros(2),
-        halts=jnp.bool_(False),
-        blind=none,
-        moved_m=zero,
-        moved_step=none,
-        stray_from=start[:2],
-        stray_step=none,
-        helps=none,
-        since_node=none,
         node_at=jnp.full((setup.n_nodes, 2), jnp.nan).at[0].set(start[:2]),
-        mistaken=none,
         met=jnp.zeros(building.marks.shape[0], bool),
         truth=jnp.zeros((setup.room, 3)),
-        step=none,
-        outcome=jnp.int32(RunOutcome.RUNNING),
-        draws=(),
     )
 
 
@@ -138,93 +115,65 @@ def smooth_senses(senses: Senses, robot: Robot) -> tuple[Senses, Array]:
 
 def make_step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: Noise, state: State) -> State:
     """Make one step of a run: sense, perceive, write, decide, move."""
-    senses, looked_from = read_sensors(draws, building, robot, noise, state.body), state.odometry[2]
-    blind = jnp.where(jnp.sum(jnp.isnan(senses.ranges_m)) > BEAMS / 2, state.blind + 1, 0)
+    before, senses = state, read_sensors(draws, building, robot, noise, state.body)
+    is_blind = jnp.sum(jnp.isnan(senses.ranges_m)) > BEAMS / 2
     senses, is_ground = smooth_senses(senses, robot)
     walls = walls_of_scan(senses.ranges_m, tuning, robot)
+    state = _localised(state.replace(blind=jnp.where(is_blind, state.blind + 1, 0)), senses, is_ground, tuning)
+    ways_m = surround.free_lengths(state.around, robot)
+    state = state.replace(writer=mapping.record_step(state, senses, walls.beside.sum(), robot))
+    state, ahead = look_ahead(state, walls, tuning, robot)
+    state, arrives = approach.select_branch(state, ahead, tuning, robot)
+    at_goal = senses.beacon_m < P.graph.goal_m
+    event = due_node(state, ahead, at_goal, _is_open(building), arrives)
+    state = nodes.make_due_node(state, event, tuning, robot)
+    node_at, is_elsewhere = mapping.record_truth(state.node_at, before.writer, state.writer, state.body.pose[:2])
+    state, *speed = _driven(state, walls, ways_m, tuning, robot)
+    state = _moved(draws, building, robot, noise, state, senses, speed)
+    turn, gone_m = state.odometry[2] - before.odometry[2], state.odometer_m - before.odometer_m
+    drive = state.drive
+    state = state.replace(
+        manoeuvre=manoeuvre.extend_trail(state.manoeuvre, state.odometry),
+        climbed_m=state.climbed_m - gone_m * jnp.sign(speed[0]) * jnp.tan(senses.pitch),
+        drive=drive.replace(looked=jnp.where(drive.latch == Latch.LOOK, drive.looked + jnp.abs(turn), 0.0)),
+        node_at=node_at,
+        mistaken=state.mistaken + is_elsewhere,
+        step=state.step + 1,
+    )
+    state = approach.help_robot(state, senses, event.kind != btm.NONE, building, robot)
+    return _end(state, at_goal & (event.kind == btm.TERMINAL), tuning)
+
+
+def _localised(state, senses, is_ground, tuning):
+    """Correct the odometry by the scan, and add it to the points around: the state."""
     lean = mapping.slope_under(senses.pitch, senses.roll, state.odometry[2])
     key, odometry, estimate = matching.correct_odometry(
         state.key, state.odometry, state.estimate, senses.ranges_m, lean
     )
     around = surround.move_surround(state.around, *matching.relative_pose(state.scanned, odometry), far_m=tuning.far_m)
     around = surround.add_scan(around, jnp.where(is_ground, jnp.inf, senses.ranges_m))
-    ways_m = surround.free_lengths(around, robot)
-    state = state.replace(key=key, odometry=odometry, estimate=estimate, around=around, scanned=odometry)
-    placed = to_odometry(state.estimate)
-    writer = mapping.record_step(state, senses, walls.beside.sum(), robot)
-    ahead = look_ahead(state, writer, walls, around, placed, tuning, robot, blind != 0)
-    at_goal, at = senses.beacon_m < P.graph.goal_m, (around, ways_m, placed)
-    writer, drive, ahead, event = _decided(state, writer, ahead, at, at_goal, _is_open(building), tuning, robot)
-    xy, known = surround.known_points(around)
-    seen = placed(xy), known
-    writer, drive, track, estimate = nodes.make_due_node(state, writer, drive, ahead.track, event, seen, tuning, robot)
-    mode, drive, target, getting, speed = _driven(
-        state, drive, ahead.inside, walls, around, ways_m, estimate, tuning, robot
-    )
-    after = _moved(draws, building, robot, noise, state, estimate, senses, speed)
-    turn = after.odometry[2] - looked_from
-    node_at, is_elsewhere = mapping.record_truth(state.node_at, state.writer, writer, state.body.pose[:2])
-    after = after.replace(
-        manoeuvre=manoeuvre.extend_trail(getting, after.odometry),
-        climbed_m=state.climbed_m - (after.odometer_m - state.odometer_m) * jnp.sign(speed[0]) * jnp.tan(senses.pitch),
-        track=track,
-        inside=ahead.inside,
-        drive=drive.replace(looked=jnp.where(drive.latch == Latch.LOOK, drive.looked + jnp.abs(turn), 0.0)),
-        writer=writer.replace(way=writer.way.replace(mode=writer.way.mode.at[state.step].set(mode, mode="drop"))),
-        scan_overflow=state.scan_overflow + ahead.scan_overflow,
-        mode=mode,
-        target=target,
-        blind=blind,
-        node_at=node_at,
-        mistaken=state.mistaken + is_elsewhere,
-        step=state.step + 1,
-    )
-    return _end(
-        approach.help_robot(after, senses, event.kind != btm.NONE, building, robot),
-        at_goal & (event.kind == btm.TERMINAL),
-        tuning,
-    )
+    return state.replace(key=key, odometry=odometry, estimate=estimate, around=around, scanned=odometry)
 
 
-def _decided(state, writer, ahead, at, at_goal, is_open, tuning, robot):
-    """Run branch selection and find the node that is due: `(writer, drive, ahead, event)`."""
-    around, ways_m, placed = at
-    drive, track, begins, arrives, gives_up = approach.select_branch(
-        state, ahead, around, ways_m, placed, tuning, robot
-    )
-    none = jnp.stack([*ahead.track.centre, ahead.track.radius, state.odometer_m])
-    early = arrives & jnp.isfinite(ahead.border_m)
-    writer = writer.replace(
-        passed=jnp.where(gives_up, none, writer.passed),
-        level=ahead.level,
-        lone_step=ahead.lone_step_after,
-        entry=jnp.where(
-            begins | ((drive.latch == Latch.APPROACH) & (state.drive.latch == Latch.LOOK)),
-            state.estimate[:2],
-            writer.entry,
-        ),
-        border_m=jnp.where(early, state.odometer_m, ahead.border_m),
-    )
-    ahead = ahead._replace(track=track)
-    return writer, drive, ahead, due_node(state, writer, ahead, at_goal, is_open, arrives)
-
-
-def _driven(state, drive, inside, walls, around, ways_m, estimate, tuning, robot):
-    """Run mode, target point and speed: `(mode, drive, target, manoeuvre, speed)`."""
-    mode, drive = behaviour.choose_mode(drive, inside, walls, ways_m, tuning, robot)
-    edge = surround.voronoi_edge(around)
-    target = behaviour.target_point(mode, drive, walls.left_m, walls.right_m, edge, to_robot(estimate), tuning)
+def _driven(state, walls, ways_m, tuning, robot):
+    """Choose run mode, target point and speed: `(state, v, omega)`."""
+    mode, drive = behaviour.choose_mode(state.drive, state.inside, walls, ways_m, tuning, robot)
+    edge, own = surround.voronoi_edge(state.around), to_robot(state.estimate)
+    target = behaviour.target_point(mode, drive, walls.left_m, walls.right_m, edge, own, tuning)
     at_target = (drive.latch == Latch.LEAVE) & (jnp.hypot(*target) < tuning.arrive_m)
-    bearing = jnp.where(at_target, btm.wrapped(drive.out - estimate[2]), jnp.arctan2(target[1], target[0]))
+    bearing = jnp.where(at_target, btm.wrapped(drive.out - state.estimate[2]), jnp.arctan2(target[1], target[0]))
     turning = jnp.where(drive.latch == Latch.LOOK, 2, drive.turning)
-    getting, *speed = manoeuvre.avoid_obstacles(
-        state.manoeuvre, around, ways_m, state.odometry, bearing, turning, state.touched, tuning, robot
+    after, *speed = manoeuvre.avoid_obstacles(
+        state.manoeuvre, state.around, ways_m, state.odometry, bearing, turning, state.touched, tuning, robot
     )
-    return mode, drive, target, getting, speed
+    way = state.writer.way
+    writer = state.writer.replace(way=way.replace(mode=way.mode.at[state.step].set(mode, mode="drop")))
+    return state.replace(mode=mode, drive=drive, target=target, manoeuvre=after, writer=writer), *speed
 
 
-def _moved(draws, building, robot, noise, state, estimate, senses, speed):
+def _moved(draws, building, robot, noise, state, senses, speed):
     """Return the state once the robot has moved: its body and its odometry."""
+    estimate = state.estimate
     body, gone_to, gone_m = move(draws, building, robot, noise, state.body, estimate, senses, speed[0], speed[1])
     step_m, turn = to_robot(estimate)(gone_to[:2]), gone_to[2] - estimate[2]
     return state.replace(

@@ -1,12 +1,15 @@
 """Records of a trace run: what the robot senses, remembers and writes.
 
 Frozen pytrees of one robot. Poses are x, y, metres, and heading, radians; unless said otherwise in the odometry frame.
-In the robot's frame x is ahead and y to the left.
+In the robot's frame x is ahead and y to the left. Defaults are those of the first step.
 """
 
 import enum
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
+import jax.numpy as jnp
+import numpy as np
 from flax import struct
 from jax import Array
 from jax.tree_util import register_dataclass
@@ -17,6 +20,12 @@ from jexplore.driving.settings import Noise, Robot, Tuning
 register_dataclass(Robot, [f for f in Robot.__dataclass_fields__ if f != "name"], ["name"])
 register_dataclass(Tuning, list(Tuning.__dataclass_fields__), [])
 register_dataclass(Noise, list(Noise.__dataclass_fields__), [])
+
+
+def _of(value: float | int | bool, size: int | None = None) -> Any:
+    """Return the default of a field: a number of 32 bits or a bool, or `size` of them."""
+    kind = {bool: np.bool_, int: np.int32, float: np.float32}[type(value)]
+    return kind(value) if size is None else struct.field(default_factory=lambda: jnp.full(size, value, kind))
 
 
 class Walls(struct.PyTreeNode):
@@ -51,9 +60,9 @@ class RobotBody(struct.PyTreeNode):
     roll: Array  # float32, radians
     height_m: Array  # float32
     rise_m: Array  # float32, highest step under the fronts of its tracks
-    path_m: Array  # float32, way in the plane
-    contacts: Array  # int32, steps refused because of a wall
-    refused: Array  # int32, steps refused because of the ground
+    path_m: Array = _of(0.0)  # float32, way in the plane
+    contacts: Array = _of(0)  # int32, steps refused because of a wall
+    refused: Array = _of(0)  # int32, steps refused because of the ground
 
 
 class Senses(struct.PyTreeNode):
@@ -77,11 +86,14 @@ class Draws(struct.PyTreeNode):
     missing: Array  # [B] float32, uniform from 0 to 1
 
 
+SECTORS = 360  # directions, a degree each, from -180 degrees
+
+
 class Surround(struct.PyTreeNode):
     """The nearest point in every direction, robot's frame."""
 
-    x_m: Array  # [SECTORS] float32; inf: nothing known
-    y_m: Array  # [SECTORS] float32, as `x_m`
+    x_m: Array = _of(math.inf, SECTORS)  # [SECTORS] float32; inf: nothing known
+    y_m: Array = _of(math.inf, SECTORS)  # [SECTORS] float32, as `x_m`
 
 
 class KeyScan(struct.PyTreeNode):
@@ -97,10 +109,10 @@ class Manoeuvre(struct.PyTreeNode):
     """Memory of obstacle avoidance between steps."""
 
     trail: Array  # [TRAIL_POSES, 3] float32, poses of the way here, odometry without corrections; a ring
-    length: Array  # int32, place of the next one, counted on
-    kept: Array  # int32, poses that it holds
-    backing: Array  # bool, it is going back
-    backed_m: Array  # float32, how far
+    length: Array = _of(1)  # int32, place of the next one, counted on
+    kept: Array = _of(1)  # int32, poses that it holds
+    backing: Array = _of(False)  # bool, it is going back
+    backed_m: Array = _of(0.0)  # float32, how far
 
 
 class Divergence(struct.PyTreeNode):
@@ -116,9 +128,8 @@ class Divergence(struct.PyTreeNode):
 class Openings(struct.PyTreeNode):
     """Exits of a place, counter-clockwise from -180 degrees. Unused slots: `valid` is False."""
 
-    bearing: Array  # [K] float32, radians
-    middle: Array  # [K, 2] float32, of the narrowest place between the walls on both sides, as seen from the centre
-    across: Array  # [K] float32, radians, direction square to that, outward
+    bearing: Array  # [K] float32, radians, square to the narrowest place between the walls on both sides, outward
+    middle: Array  # [K, 2] float32, of that place, as seen from the centre
     width_m: Array  # [K] float32, of that
     valid: Array  # [K] bool
     overflow: Array  # int32, openings that did not fit
@@ -127,9 +138,9 @@ class Openings(struct.PyTreeNode):
 class LoneStep(struct.PyTreeNode):
     """A step ahead of the robot or under it, or several close together."""
 
-    from_m: Array  # float32, odometer at the first of them, inf: none
-    to_m: Array  # float32, at the last
-    height_m: Array  # float32, of the highest
+    from_m: Array = _of(math.inf)  # float32, odometer at the first of them, inf: none
+    to_m: Array = _of(math.inf)  # float32, at the last
+    height_m: Array = _of(0.0)  # float32, of the highest
 
 
 class RunMode(enum.IntEnum):
@@ -154,24 +165,23 @@ class Latch(enum.IntEnum):
 class Track(struct.PyTreeNode):
     """A divergence that may lie ahead: where scan after scan has shown its triangle."""
 
-    centre: Array  # [2] float32, metres
-    radius: Array  # float32, metres
-    seen: Array  # uint32, a bit a scan, the last one lowest: whether it showed the triangle
-    age: Array  # int32, scans since it was first seen; 0: no divergence
+    centre: Array = _of(0.0, 2)  # [2] float32, metres
+    radius: Array = _of(0.0)  # float32, metres
+    seen: Array = _of(0)  # int32, a bit a scan, the last one lowest: whether it showed the triangle
+    age: Array = _of(0)  # int32, scans since it was first seen; 0: no divergence
 
 
 class Drive(struct.PyTreeNode):
     """Memory of driving between steps."""
 
-    latch: Array  # int32, `Latch`
-    target: Array  # [2] float32, of the latch, metres
-    since: Array  # int32, steps of the latch
-    out: Array  # float32, radians, direction of the link that is taken
-    looked: Array  # float32, radians turned while looking round
-    looked_m: Array  # float32, odometer when the robot last did
-    turning: Array  # int32, side to which a dead end turns the robot: 1 left, -1 right, 0 none
-    left_m: Array  # float32, last distance of a left wall within C1, or of one next to which it can turn
-    right_m: Array  # float32, as `left_m`, on the right
+    latch: Array = _of(0)  # int32, `Latch`
+    target: Array = _of(0.0, 2)  # [2] float32, of the latch, metres
+    since: Array = _of(0)  # int32, steps of the latch
+    out: Array = _of(0.0)  # float32, radians, direction of the link that is taken
+    looked: Array = _of(0.0)  # float32, radians turned while looking round
+    turning: Array = _of(0)  # int32, side to which a dead end turns the robot: 1 left, -1 right, 0 none
+    left_m: Array = _of(1.0)  # float32, last distance of a left wall within C1, or where it can turn next to one
+    right_m: Array = _of(1.0)  # float32, as `left_m`, on the right
 
 
 class Trajectory(struct.PyTreeNode):
@@ -191,12 +201,14 @@ class Trajectory(struct.PyTreeNode):
 class SlopeEstimate(struct.PyTreeNode):
     """Slope of the ground under the robot, and of what it last stood on evenly; see `mapping.slope_at`."""
 
-    even: Array  # [2] float32, radians, when it last stood evenly
-    anchor: Array  # [2] float32, radians, about which it varies little: first as it came there, then as it has settled
-    anchor_m: Array  # float32, odometer where that began
-    stands: Array  # bool, whether it stands evenly
-    left_m: Array  # float32, odometer where it last was the even one
-    since_m: Array  # float32, odometer where it came to be
+    even: Array = _of(0.0, 2)  # [2] float32, radians, when it last stood evenly
+    anchor: Array = _of(
+        0.0, 2
+    )  # [2] float32, radians, about which it varies little: as it came there, then as it settled
+    anchor_m: Array = _of(0.0)  # float32, odometer where that began
+    stands: Array = _of(False)  # bool, whether it stands evenly
+    left_m: Array = _of(0.0)  # float32, odometer where it last was the even one
+    since_m: Array = _of(0.0)  # float32, odometer where it came to be
 
 
 class Writer(struct.PyTreeNode):
@@ -204,21 +216,20 @@ class Writer(struct.PyTreeNode):
 
     map: Btm
     way: Trajectory
-    node: Array  # int32, where it was last
-    node_m: Array  # float32, odometer there
     link: Array  # int32, on which it is; M for none
     left_bearing: Array  # float32, radians, in which it left the last node
-    entry: Array  # [2] float32, where it began to approach a divergence
-    level: SlopeEstimate
-    lone_step: LoneStep  # that is ahead or under the robot
-    border_m: Array  # float32, odometer at which a free space will have been entered or left; inf: none
-    passed: Array  # [4] float32, the candidate last rejected: x, y, radius, metres; odometer there
-    tries: Array  # [M] int32, how often the robot has set off on a link that was un-searched, or may do so no more
-    fails: Array  # [M] int32, how often in a row a searched link has led elsewhere
-    last_chance: Array  # int32, searched links when those that were given up last got another chance; -1: never
-    exhausted: Array  # bool, nothing is left to follow
-    full: Array  # bool, a node did not fit
     origin: Array  # [3] float32, the last node: x, y, metres; turn of its frame, radians
+    tries: Array  # [M] int32, how often the robot has set off on a link
+    node: Array = _of(0)  # int32, where it was last
+    node_m: Array = _of(0.0)  # float32, odometer there
+    entry: Array = _of(0.0, 2)  # [2] float32, where it began to approach a divergence
+    level: SlopeEstimate = struct.field(default_factory=SlopeEstimate)
+    lone_step: LoneStep = struct.field(default_factory=LoneStep)  # that is ahead or under the robot
+    border_m: Array = _of(math.inf)  # float32, odometer at which a free space will have been entered or left; inf: none
+    passed: Array = struct.field(default_factory=lambda: jnp.array([0.0, 0.0, 0.0, -jnp.inf]))
+    """[4] float32, the candidate last rejected: x, y, radius, metres; odometer there"""
+    exhausted: Array = _of(False)  # bool, nothing is left to follow
+    full: Array = _of(False)  # bool, a node did not fit
 
 
 class DueNode(struct.PyTreeNode):
@@ -242,21 +253,15 @@ class Arrival(NamedTuple):
     map: Btm  # with the node
     node: Array  # int32
     again: Array  # bool, whether it was known
-    near: Array  # int32, the known node
     met: Array  # bool, whether the robot is at its middle, so that the odometry can be corrected
     fits: Array  # bool, whether there was room for it
     shift: Array  # [2] float32, correction of the odometry, metres
-    width: Array  # float32, of the way here, metres
-    posture: Array  # float32, the steepest on it, degrees
-    roll: Array  # float32, the largest roll, degrees
-    moved: Array  # [3] float32, from the last node: see `mapping.pose_from_node`
 
 
 class ScanWalls(NamedTuple):
     """Walls seen in one scan, robot's frame."""
 
-    region: tuple[Array | float, Array | float]  # the stretch that is watched for free space, metres ahead
-    region_sides: tuple[Array | float, Array | float]  # clearance to the left and right there, metres
+    region_sides: tuple[Array | float, Array | float]  # clearance to the left and right in `Tuning.region`, metres
     roomy: Array | bool  # whether a circle as large as C1 fits there
     closed: Array | bool  # whether the way ahead is closed
     fronts_m: tuple[Array | float, Array | float]  # free length ahead of the left and right half of the robot's width
@@ -266,23 +271,17 @@ class ScanWalls(NamedTuple):
 
 
 class Ahead(NamedTuple):
-    """Divergences, free space and ground ahead, and the nodes just passed."""
+    """The ground ahead, and the nodes just passed."""
 
     leans: Array  # bool, the robot stands otherwise than where it last stood evenly, or the ground rises before it
-    track: Track
-    scan_overflow: Array  # int32, ends of walls that did not fit into the scan's points
-    inside: Array  # bool, the robot is in free space
-    border_m: Array  # float32, odometer at which the free space will have been entered or left; inf: none
     missed: Array  # bool, where the free space begins was not reached before it ends
-    level: SlopeEstimate
     changed: Array  # bool, whether the robot stands on ground of another inclination now
     crease_m: Array  # float32, odometer where it changed
     steepest: Array  # float32, the larger inclination, radians
     blocked: Array  # bool, there is ground ahead that the robot cannot climb
+    beyond: tuple[Array, Array]  # height of the step and inclination of the slope that stop it, see `_ground_ahead`
     lone_step: LoneStep  # that is ahead, under the robot or just passed
     is_lone: Array  # bool, whether it has just passed it
-    lone_step_after: LoneStep  # remaining state once the node is made
-    beyond: tuple[Array, Array]  # height of the step and inclination of the slope that stop it, see `_ground_ahead`
 
 
 class State(struct.PyTreeNode):
@@ -291,32 +290,30 @@ class State(struct.PyTreeNode):
     body: RobotBody
     estimate: Array  # [3] float32, odometry, corrected where a node is met again
     odometry: Array  # [3] float32, odometry without corrections
-    around: Surround  # where the last scan was taken
-    scanned: Array  # [3] float32, odometry without corrections there
+    scanned: Array  # [3] float32, odometry without corrections where the last scan was taken
     key: KeyScan
     manoeuvre: Manoeuvre
-    touched: Array  # bool, a wall has just refused a step
-    odometer_m: Array  # float32
-    climbed_m: Array  # float32, height above the start as the attitude has it
-    track: Track
-    inside: Array  # bool, the robot is in free space
-    drive: Drive
     writer: Writer
-    scan_overflow: Array  # int32, ends of walls that a scan had more than there is room for
-    mode: Array  # int32
-    target: Array  # [2] float32, target point in the robot's frame
-    halts: Array  # bool, the ground has just refused a step
-    blind: Array  # int32, scans in a row without numbers
-    moved_m: Array  # float32, odometer when it last got on
-    moved_step: Array  # int32, and the step
-    stray_from: Array  # [2] float32, where it has been near for long
-    stray_step: Array  # int32, since which step
-    helps: Array  # int32
-    since_node: Array  # int32, of them, since the last node
     node_at: Array  # [N, 2] float32, where the robot truly was when it made a node
-    mistaken: Array  # int32, times that it took a place for a node that truly lies elsewhere
     met: Array  # [K] bool, which of the building's marks it has been at
     truth: Array  # [T, 3] float32, true poses
-    step: Array  # int32
-    outcome: Array  # int32
-    draws: Draws | tuple[()]  # of `DRAWN_STEPS` steps
+    around: Surround = struct.field(default_factory=Surround)  # where the last scan was taken
+    track: Track = struct.field(default_factory=Track)
+    drive: Drive = struct.field(default_factory=Drive)
+    touched: Array = _of(False)  # bool, a wall has just refused a step
+    odometer_m: Array = _of(0.0)  # float32
+    climbed_m: Array = _of(0.0)  # float32, height above the start as the attitude has it
+    inside: Array = _of(False)  # bool, the robot is in free space
+    scan_overflow: Array = _of(0)  # int32, ends of walls that scans had more than there is room for
+    mode: Array = _of(0)  # int32
+    target: Array = _of(0.0, 2)  # [2] float32, target point in the robot's frame
+    halts: Array = _of(False)  # bool, the ground has just refused a step
+    blind: Array = _of(0)  # int32, scans in a row without numbers
+    moved_m: Array = _of(0.0)  # float32, odometer when it last got on
+    moved_step: Array = _of(0)  # int32, and the step
+    helps: Array = _of(0)  # int32
+    since_node: Array = _of(0)  # int32, of them, since the last node
+    mistaken: Array = _of(0)  # int32, times that it took a place for a node that truly lies elsewhere
+    step: Array = _of(0)  # int32
+    outcome: Array = _of(0)  # int32
+    draws: Draws | tuple[()] = ()  # of `DRAWN_STEPS` steps

@@ -3,7 +3,6 @@
 A unicycle on two rigid tracks, with a scanner that looks ahead, one that looks down, an attitude sensor and encoders.
 """
 
-import math
 from collections.abc import Callable
 
 import jax
@@ -11,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from jexplore.arrays.loops import run_if
+from jexplore.arrays.loops import pick, run_if
 from jexplore.driving.building.terrain import attitude, look_at, turned
 from jexplore.driving.building.walls import cast_along, meets
 from jexplore.driving.params.tree import P
@@ -23,7 +22,6 @@ DT_S = 0.1
 SCAN_RANGE_M = 8.0
 BEAMS = 181
 ANGLES_RAD = np.radians(np.linspace(-90, 90, BEAMS)).astype(np.float32)
-BEAM_SPACING_RAD = math.pi / (BEAMS - 1)
 DOWN_BEAMS = 13
 DOWN_RAD = np.radians(np.linspace(-18, 18, DOWN_BEAMS)).astype(np.float32)
 BEACON_M = 1.0  # the goal's beacon is heard within this, where no wall lies between
@@ -73,9 +71,7 @@ def down_directions(robot: Robot) -> Array:
 
 def initial_body(building: Building, robot: Robot, pose: Array) -> RobotBody:
     """Return the `RobotBody` of a robot that has not moved yet."""
-    pitch, roll, height, rise = attitude(building.terrain, pose, robot.length_m, robot.width_m)
-    zero, none = jnp.float32(0), jnp.int32(0)
-    return RobotBody(pose, pitch, roll, height, rise, path_m=zero, contacts=none, refused=none)
+    return RobotBody(pose, *attitude(building.terrain, pose, robot.length_m, robot.width_m))
 
 
 def read_sensors(draws: Draws, building: Building, robot: Robot, noise: Noise, body: RobotBody) -> Senses:
@@ -187,22 +183,15 @@ def move(
     middle = body.pose[2] + 0.5 * turn * (1 - noise.slip)
     flat = ahead * jnp.cos(body.pitch)
     pose = jnp.stack([body.pose[0] + flat * jnp.cos(middle), body.pose[1] + flat * jnp.sin(middle), heading])
-    pitch, roll, height, rise = attitude(building.terrain, pose, robot.length_m, robot.width_m, v < 0)
+    stands = pitch, roll, _, rise = attitude(building.terrain, pose, robot.length_m, robot.width_m, v < 0)
     contact = touches(building, robot, pose)
     steep = jnp.radians(robot.max_slope_deg) + 1e-3
     climbs = (jnp.abs(pitch) <= steep) & (jnp.abs(roll) <= steep) | (jnp.abs(pitch) < jnp.abs(body.pitch))
     climbs = climbs & (rise <= jnp.maximum(robot.max_step_m + 1e-3, body.rise_m)) | (flat == 0)
     goes = ~contact & climbs
-    moved = RobotBody(
-        pose=jnp.where(goes, pose, body.pose),
-        pitch=jnp.where(goes, pitch, body.pitch),
-        roll=jnp.where(goes, roll, body.roll),
-        height_m=jnp.where(goes, height, body.height_m),
-        rise_m=jnp.where(goes, rise, body.rise_m),
-        path_m=body.path_m + jnp.where(goes, jnp.abs(flat), 0),
-        contacts=body.contacts + contact,
-        refused=body.refused + (~contact & ~climbs),
-    )
+    counts = {"contacts": body.contacts + contact, "refused": body.refused + (~contact & ~climbs)}
+    there = RobotBody(pose, *stands, path_m=body.path_m + jnp.abs(flat))
+    moved = pick(goes, there, body).replace(**counts)
     measured, turn = encoded(noise, ahead, turn, flat, draws.encoders)
     measured *= jnp.cos(senses.pitch)
     middle = estimate[2] + 0.5 * turn

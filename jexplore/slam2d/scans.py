@@ -39,8 +39,21 @@ def _read(settings, ranges_m, angles_rad, max_range_m):
     valid = (ranges_m > 0) & (ranges_m < max_range_m)  # False for NaN
     r = jnp.where(valid, ranges_m, 0).astype(jnp.float32)
     x, y = r * jnp.cos(angles_rad), r * jnp.sin(angles_rad)
+    _, (nx, ny), lined = fit_lines(settings, x, y, valid)
+    sign = jnp.where(lined, jnp.where(nx * x + ny * y > 0, -1.0, 1.0), 0.0)
+    return Scan(jnp.stack([x, y], -1), jnp.stack([sign * nx, sign * ny], -1), valid)
+
+
+def fit_lines(
+    settings: SlamSettings, x: Array, y: Array, valid: Array
+) -> tuple[tuple[Array, Array], tuple[Array, Array], Array]:
+    """Fit a line through every end of a scan's beams `[B]` and its neighbours.
+
+    Returns:
+      `(mean, normal, lined)`: x and y of a point on the line and of its normal; `[B]` bool, whether there is a line.
+    """
     wide = [jnp.pad(a, LINE_BEAMS) for a in (x, y)]
-    known, n = jnp.pad(valid, LINE_BEAMS), r.shape[0]
+    known, n = jnp.pad(valid, LINE_BEAMS), x.shape[0]
     moments = [jnp.zeros(n)] * 6
     for k in range(2 * LINE_BEAMS + 1):
         there, other_x, other_y = (lax.slice_in_dim(a, k, k + n) for a in (known, *wide))
@@ -55,6 +68,4 @@ def _read(settings, ranges_m, angles_rad, max_range_m):
     half, root = (cxx + cyy) / 2, jnp.hypot((cxx - cyy) / 2, cxy)
     along = 0.5 * jnp.arctan2(2 * cxy, cxx - cyy)
     lined = valid & (count >= LINE_BEAMS) & (half - root < settings.line_flatness * (half + root))
-    nx, ny = -jnp.sin(along), jnp.cos(along)
-    sign = jnp.where(lined, jnp.where(nx * x + ny * y > 0, -1.0, 1.0), 0.0)
-    return Scan(jnp.stack([x, y], -1), jnp.stack([sign * nx, sign * ny], -1), valid)
+    return (x + mx, y + my), (-jnp.sin(along), jnp.cos(along)), lined

@@ -2,6 +2,7 @@
 
 import math
 
+import jax.numpy as jnp
 import numpy as np
 
 from jexplore.driving.building import walls
@@ -43,3 +44,10 @@ def wall(x, y):
     """Points every 5 cm from `(x[0], y[0])` to `(x[1], y[1])`: `[n, 2]`."""
     n = round(math.hypot(x[1] - x[0], y[1] - y[0]) / 0.05) + 1
     return np.stack([np.linspace(*x, n), np.linspace(*y, n)], axis=1)
+
+
+def cast(walls_, pose, angles_rad, max_range_m):
+    """Ranges of beams from a pose to the nearest wall, in directions relative to its heading; inf beyond the range."""
+    x, y, heading = pose
+    angle = heading + angles_rad
+    return walls.cast_along(walls_, x, y, jnp.cos(angle), jnp.sin(angle), max_range_m)

@@ -35,4 +35,4 @@ def place(*bearings):
     """Return openings that bear so, radians, of 8 slots."""
     n, flat = len(bearings), jnp.zeros(8)
     bearing = np.pad(np.array(bearings, np.float32), (0, 8 - n))
-    return Openings(jnp.asarray(bearing), jnp.zeros((8, 2)), flat, flat, jnp.arange(8) < n, jnp.int32(0))
+    return Openings(jnp.asarray(bearing), jnp.zeros((8, 2)), flat, jnp.arange(8) < n, jnp.int32(0))

@@ -53,30 +53,18 @@ def segments(walls: Walls) -> np.ndarray:
     return np.concatenate([x[:, [0, 1, 0, 2]], y[:, [1, 0, 2, 0]]])
 
 
-def cast(
-    walls: Walls,
-    pose: Array | tuple[Array | float, Array | float, Array | float],
-    angles_rad: Array | np.ndarray,
-    max_range_m: Array | float,
+def cast_along(
+    walls: Walls, x: Array | float, y: Array | float, dx: Array, dy: Array, max_range_m: Array | float
 ) -> Array:
     """Compute ranges of beams to the nearest wall.
 
     Args:
-      angles_rad: `[B]` float32, relative to the heading.
-      max_range_m: range, metres.
+      x, y: origin of the beams, metres.
+      dx, dy: `[B]` float32, their unit vectors.
 
     Returns:
       `[B]` float32, metres; inf where no wall lies within the range.
     """
-    x, y, heading = pose
-    angle = heading + angles_rad
-    return cast_along(walls, x, y, jnp.cos(angle), jnp.sin(angle), max_range_m)
-
-
-def cast_along(
-    walls: Walls, x: Array | float, y: Array | float, dx: Array, dy: Array, max_range_m: Array | float
-) -> Array:
-    """Compute `cast` for beams with unit vectors `dx`, `dy`, `[B]` float32, and their origin `x`, `y`, metres."""
     along_x = _range_bits(walls.x, x, y, dx, dy)
     along_y = _range_bits(walls.y, y, x, dy, dx)
     # Distances are not negative: their bits, as integers, are in the same order, and integers reduce fast on a CPU.

@@ -17,10 +17,10 @@ from jexplore.driving.local.pilot import LOOK_M, Pilot, RunEnded
 from jexplore.driving.local.sight import SeenPlace, look
 from jexplore.driving.local.window import CELL_M, SIDE, Fixed, Window
 from jexplore.driving.mission import RunOutcome
-from jexplore.driving.params.tree import P
 from jexplore.driving.settings import Tuning
 
-MATCH_M = P.graph.led_node_m  # a place no farther than this from where the map has it is the map's,
+MATCH_M = 1.5  # a place no farther than this from where the map has it is the map's,
+SAME_RAD = math.radians(40)  # its exits are the map's that are less apart than this,
 EXIT_COST_M = 0.7  # and each exit that one of them lacks counts as this way off
 OFF_COST = 4.0  # a node is gone to as near as its surroundings allow: a metre off costs as much as this way
 PASS_M = 0.7  # from another node: there its exits are seen
@@ -162,7 +162,7 @@ class Follower:
         if place is not None:
             long = [way for way in place.ways if way.to >= 0 or length_of(way.path) > place.radius_m + LOOK_M]
             self.found[self.next] = [way.bearing for way in long]
-            ways = [way for way in place.ways if abs(wrapped(way.bearing - stop.out)) < P.places.same_exit_rad]
+            ways = [way for way in place.ways if abs(wrapped(way.bearing - stop.out)) < SAME_RAD]
             if ways:
                 path = min(ways, key=lambda way: abs(wrapped(way.bearing - stop.out))).path
                 near = np.hypot(*(path - place.xy).T) < out_m
@@ -236,4 +236,4 @@ def recognised(seen: Sequence[SeenPlace], stop: Stop, places: np.ndarray, shift:
 
 
 def _is_new(bearing, others):
-    return all(abs(wrapped(bearing - other)) > P.places.same_exit_rad for other in others)
+    return all(abs(wrapped(bearing - other)) > SAME_RAD for other in others)

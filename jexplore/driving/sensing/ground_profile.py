@@ -1,6 +1,5 @@
 """Ground ahead by the downward scanner: features of its height profile, and single steps in level ground."""
 
-import functools
 import math
 
 import jax.numpy as jnp
@@ -11,7 +10,6 @@ from jax import Array, lax
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import LoneStep, Trajectory
 from jexplore.driving.sensing import smoothing
-from jexplore.driving.sensing.perception import running_sum
 
 PROFILE_CELLS, PROFILE_CELL_M = 1024, 0.02  # of a profile: what lies beyond is left out
 FLANK_M = 0.10  # m; a step is the difference of mean heights this far before and behind a place, less one cell
@@ -65,7 +63,7 @@ class Profile(struct.PyTreeNode):
     noise_m: Array  # float32, standard deviation of a point, told by how its neighbours differ
     slope: Array  # float32, of that line, signed
     step_m: Array  # float32, height of a step, the median of all
-    riser_m: Array  # float32, height of a step of stairs between level treads
+    riser_m: Array  # float32, height of a step of stairs: what the slope rises over a tread
     highest_m: Array  # float32, of the highest one, beyond what the slope rises; 0 where none stands out of the noise
     count: Array  # int32, points
 
@@ -91,22 +89,20 @@ def profile(x_m: Array, z_m: Array, valid: Array) -> Profile:
     slope = jnp.sum(x * z) / jnp.maximum(jnp.sum(x * x), 1e-9)
     residual = jnp.where(valid, z - slope * x, 0)
     enough = n >= 3
-    cells = _cell_of(x, valid)
-    heights = [jnp.zeros(PROFILE_CELLS, jnp.float32).at[cells].add(a, mode="drop") for a in (1.0, z)]
-    rises = _rises(*heights)
-    steps = _steps(rises)
-    highest, noise = (
-        jnp.max(rises) - jnp.abs(slope) * RISE_M,
-        smoothing.deviation(smoothing.second_differences(z, valid)),
-    )
+    first = jnp.min(jnp.where(valid, x, jnp.inf))
+    cells = jnp.where(valid, ((x - first) / PROFILE_CELL_M).astype(jnp.int32), PROFILE_CELLS)
+    rises = _rises(*(jnp.zeros(PROFILE_CELLS, jnp.float32).at[cells].add(a, mode="drop") for a in (1.0, z)))
+    wave, tread = _tread_wave(cells, residual, n)
+    highest = jnp.max(rises) - jnp.abs(slope) * RISE_M
+    noise = smoothing.deviation(smoothing.second_differences(z, valid))
     variance = jnp.where(enough, jnp.sum(residual**2) / jnp.maximum(n - 2, 1), 0)
     return Profile(
         variance_m2=variance,
-        tread_wave_m2=jnp.where(enough, _tread_wave(x, residual, valid), 0),
+        tread_wave_m2=jnp.where(enough, wave, 0),
         noise_m=noise,
         slope=jnp.where(enough, slope, 0),
-        step_m=jnp.where(enough, _median(rises, steps), 0),
-        riser_m=jnp.where(enough, _riser(steps, rises, *heights), 0),
+        step_m=jnp.where(enough, _median(rises, _steps(rises)), 0),
+        riser_m=jnp.where(enough, jnp.abs(slope) * tread, 0),
         highest_m=jnp.where(
             enough & (highest > P.ground.min_step_m) & (highest > P.ground.noise_deviations * noise), highest, 0
         ),
@@ -114,27 +110,16 @@ def profile(x_m: Array, z_m: Array, valid: Array) -> Profile:
     )
 
 
-def _cell_of(x_m, valid):
-    """Return cells of the way from the first point: `[P]` int32, beyond the last for none."""
-    first = jnp.min(jnp.where(valid, x_m, jnp.inf))
-    return jnp.where(valid, ((x_m - first) / PROFILE_CELL_M).astype(jnp.int32), PROFILE_CELLS)
-
-
-def _tread_wave(x_m, residual_m, valid):
-    """Return the largest power, in square metres, of a residual's waves as long as a tread."""
-    total = jnp.zeros(PROFILE_CELLS, jnp.float32).at[_cell_of(x_m, valid)].add(residual_m, mode="drop")
-    mean = _TREAD_WAVES @ total / jnp.maximum(jnp.sum(valid), 1)  # [2 * periods]
-    return jnp.max(2 * jnp.sum(mean.reshape(2, -1) ** 2, axis=0))
-
-
-def steepest_rise(x_m: Array, z_m: Array, valid: Array) -> Array:
-    """Return the largest rise between neighbouring points of a profile beyond a slope of 45 degrees: float32, metres.
-
-    Steps are that steep, slopes are not. Arguments as for `profile`, in the order of time.
-    """
-    both = valid[1:] & valid[:-1]
-    x, z = jnp.where(valid, x_m, 0), jnp.where(valid, z_m, 0)
-    return jnp.max(jnp.where(both, jnp.diff(z) - jnp.abs(jnp.diff(x)), 0))
+def _tread_wave(cells, residual_m, n):
+    """Return the largest power, in square metres, of a residual's waves as long as a tread, and the length of that one,
+    metres, between those that are tried."""
+    total = jnp.zeros(PROFILE_CELLS, jnp.float32).at[cells].add(residual_m, mode="drop")
+    mean = _TREAD_WAVES @ total / jnp.maximum(n, 1)  # [2 * periods]
+    power = 2 * jnp.sum(mean.reshape(2, -1) ** 2, axis=0)
+    at = jnp.clip(jnp.argmax(power), 1, len(TREADS_M) - 2)
+    before, here, after = (power[at + k] for k in (-1, 0, 1))
+    off = (before - after) / jnp.minimum(2 * (before - 2 * here + after), -1e-12)  # vertex of the parabola through them
+    return power.max(), TREADS_M[0] + (at + jnp.clip(off, -1, 1)) * (TREADS_M[1] - TREADS_M[0])
 
 
 def _rises(count, total):
@@ -142,7 +127,7 @@ def _rises(count, total):
     cell, and the sum of their heights."""
     # Points come in the order of time, about in that of x: flanks are sums over sorted cells of the way.
     n, wide = PROFILE_CELLS, round(FLANK_M / PROFILE_CELL_M)
-    run_n, run_z = (jnp.pad(running_sum(a), (1, 0)) for a in (count, total))
+    run_n, run_z = (jnp.pad(jnp.cumsum(a), (1, 0)) for a in (count, total))
 
     def window(run, low, high):  # sums of cells [i + low, i + high)
         padded = jnp.concatenate([jnp.zeros(wide + 2), run, jnp.full(wide + 2, run[-1])])
@@ -168,36 +153,6 @@ def _median(values, valid):
     """Return the lower median; 0 without a valid value."""
     number = jnp.sum(valid)
     return jnp.where(number > 0, jnp.sort(jnp.where(valid, values, jnp.inf))[jnp.maximum(number - 1, 0) // 2], 0)
-
-
-def _riser(step, rise, count, total):
-    """Estimate the height of a riser: the median over all, each between the mean heights of the adjacent treads. The
-    place where a flank's rise is largest is selected by noise too: it locates a step but overestimates its height."""
-    n, cell, (short, *_, long) = (
-        PROFILE_CELLS,
-        jnp.arange(PROFILE_CELLS),
-        np.round(TREADS_M / PROFILE_CELL_M).astype(int),
-    )
-    earlier = [jnp.pad(step, (k, 0))[:n] for k in range(1, short // 2)]
-    step &= ~functools.reduce(jnp.logical_or, earlier)  # of cells that rise alike the first
-    number = jnp.cumsum(step)
-    last = lax.cummax(jnp.where(step, cell, -n))
-    next_ = lax.cummin(jnp.where(step, cell, 2 * n), reverse=True)
-    # What lies between steps too far apart for a tread belongs to either of them.
-    tread = 2 * number + ((next_ - last > long) & (next_ - cell < cell - last))
-    off = jnp.minimum(cell - last, next_ - cell)
-    near = (off > round(P.ground.face_m / PROFILE_CELL_M)) & (off <= short)
-    at = jnp.where(near, tread, 2 * n + 1)
-    points, sums = (jnp.zeros(2 * n + 2, jnp.float32).at[at].add(a) for a in (count, total))
-    mean = sums / jnp.maximum(points, 1)
-    before, after = jnp.pad(tread, (1, 0))[:n], tread
-    seen = (points[before] > 0) & (points[after] > 0)
-    return _median(jnp.where(seen, jnp.abs(mean[after] - mean[before]), rise), step)
-
-
-def no_step() -> LoneStep:
-    """Return a state without a step."""
-    return LoneStep(jnp.float32(jnp.inf), jnp.float32(jnp.inf), jnp.float32(0))
 
 
 def update_step(step: LoneStep, x_m: Array, z_m: Array) -> LoneStep:

@@ -12,6 +12,8 @@ from jexplore.arrays.loops import pick, run_if
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import KeyScan
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, to_odometry, to_robot
+from jexplore.slam2d.matching import inverted
+from jexplore.slam2d.scans import fit_lines
 from jexplore.slam2d.settings import SlamSettings
 
 MATCH = SlamSettings(way_m=0.01, turn_deg=0.5, turn_share=0.1, min_share=0.6)
@@ -20,33 +22,13 @@ At 5 cm of range noise 96 % of the maps are true (`benchmarks/btm.py --parts sen
 and turn. At a slip of two fifths all are (`benchmarks/drift.py`), none with the default share of turns. A scan with a
 smaller share of matched points than `min_share` becomes the reference; bounds of way and turn add drift."""
 ROUNDS = 6  # of a match
-LINE_BEAMS = 5  # beams on either side through whose points a line is laid
 
 
-def _fit_lines(ranges_m):
-    """Fit a line through every point of a scan and its neighbours: `(mean, normal, there)`."""
+def _ends(ranges_m):
+    """Return the ends of a scan's beams: `(x, y, valid)`, `[B]` each, 0 where invalid."""
     valid = jnp.isfinite(ranges_m)
     r = jnp.where(valid, ranges_m, 0)
-    x, y = r * jnp.cos(ANGLES_RAD), r * jnp.sin(ANGLES_RAD)
-    wide = [jnp.pad(a, LINE_BEAMS) for a in (x, y)]
-    known = jnp.pad(valid, LINE_BEAMS)
-    n = ranges_m.shape[0]
-
-    def added(k, moments):
-        there, other_x, other_y = (lax.dynamic_slice(a, (k,), (n,)) for a in (known, *wide))
-        dx, dy = other_x - x, other_y - y
-        weight = (there & valid & (dx * dx + dy * dy < MATCH.line_reach_m**2)).astype(jnp.float32)
-        terms = weight, weight * dx, weight * dy, weight * dx * dx, weight * dx * dy, weight * dy * dy
-        return [total + term for total, term in zip(moments, terms)]
-
-    count, sx, sy, sxx, sxy, syy = lax.fori_loop(0, 2 * LINE_BEAMS + 1, added, [jnp.zeros(n)] * 6)
-    per = 1 / jnp.maximum(count, 1)
-    mx, my = sx * per, sy * per
-    cxx, cxy, cyy = sxx * per - mx * mx, sxy * per - mx * my, syy * per - my * my
-    half, root = (cxx + cyy) / 2, jnp.hypot((cxx - cyy) / 2, cxy)
-    along = 0.5 * jnp.arctan2(2 * cxy, cxx - cyy)
-    there = valid & (count >= LINE_BEAMS) & (half - root < MATCH.line_flatness * (half + root))
-    return (x + mx, y + my), (-jnp.sin(along), jnp.cos(along)), there
+    return r * jnp.cos(ANGLES_RAD), r * jnp.sin(ANGLES_RAD), valid
 
 
 def match_scans(before_m: Array, ranges_m: Array, moved: Array, since: Array) -> tuple[Array, Array]:
@@ -65,10 +47,8 @@ def match_scans(before_m: Array, ranges_m: Array, moved: Array, since: Array) ->
     Source:
       Censi, An ICP variant using a point-to-line metric (2008). Changed: beams find their partners by their bearing.
     """
-    (mean_x, mean_y), (normal_x, normal_y), there = _fit_lines(before_m)
-    valid = jnp.isfinite(ranges_m)
-    r = jnp.where(valid, ranges_m, 0)
-    x, y = r * jnp.cos(ANGLES_RAD), r * jnp.sin(ANGLES_RAD)
+    (mean_x, mean_y), (normal_x, normal_y), there = fit_lines(MATCH, *_ends(before_m))
+    x, y, valid = _ends(ranges_m)
     way, turn = jnp.hypot(since[0], since[1]), jnp.abs(since[2])
     place_sd = MATCH.way_m + MATCH.way_share * way
     turn_sd = MATCH.turn_share * turn + math.radians(1) * (MATCH.turn_deg + MATCH.turn_deg_m * way)
@@ -89,25 +69,12 @@ def match_scans(before_m: Array, ranges_m: Array, moved: Array, since: Array) ->
         rows = jnp.stack([nx, ny, by_turn])
         matrix = (rows * weight) @ rows.T + jnp.diag(prior)
         vector = -(rows * weight) @ off + prior * (moved - found)
-        step = _solved(matrix, vector)
         n = jnp.sum(counts)
-        return jnp.where(n >= MATCH.min_points, found + step, found), n
+        return jnp.where(n >= MATCH.min_points, found + inverted(matrix) @ vector, found), n
 
     found, n = lax.fori_loop(0, ROUNDS, nearer, (moved, jnp.int32(0)))
     sure = (n >= MATCH.min_points) & jnp.all(jnp.abs(found - moved) < MATCH.max_deviations * sd)
     return jnp.where(sure, found, moved), jnp.where(sure, n / jnp.maximum(jnp.sum(valid), 1), 0.0)
-
-
-def _solved(a, b):
-    """Solve three equations whose matrix is symmetric and positive: `[3]`."""
-    c00 = a[1, 1] * a[2, 2] - a[1, 2] ** 2
-    c01 = a[0, 2] * a[1, 2] - a[0, 1] * a[2, 2]
-    c02 = a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]
-    per = 1 / (a[0, 0] * c00 + a[0, 1] * c01 + a[0, 2] * c02)
-    c11, c12 = a[0, 0] * a[2, 2] - a[0, 2] ** 2, a[0, 1] * a[0, 2] - a[0, 0] * a[1, 2]
-    c22 = a[0, 0] * a[1, 1] - a[0, 1] ** 2
-    rows = jnp.stack([jnp.stack([c00, c01, c02]), jnp.stack([c01, c11, c12]), jnp.stack([c02, c12, c22])])
-    return rows @ b * per
 
 
 def no_key(pose: Array) -> KeyScan:

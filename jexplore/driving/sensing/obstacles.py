@@ -51,40 +51,33 @@ def classify_obstacle(
     Returns:
       `(map, step_m)`: `Btm`; float32, the highest step on the way here, NaN where hardly any ground was seen.
     """
-    before = jnp.minimum(writer.node, map_.kind.shape[0] - 1)
+    n, way = map_.kind.shape[0], writer.way
+    before = jnp.minimum(writer.node, n - 1)
     over = map_.kind[before] == btm.OBSTACLE
-    way = writer.way
     found = _gone_over(writer, event)
     is_steep = jnp.abs(jnp.arctan(found.slope)) > jnp.radians(tuning.inclination_deg)
     is_judged = over & is_steep & (found.count >= 3) & (event.odometer_m > writer.node_m)
     stairs = is_judged & is_stairs(found, tuning)
-
-    def mark(array, at, value, when):
-        return array.at[jnp.where(when, at, array.shape[0])].set(value, mode="drop")
-
-    obstacle, step, variance = map_.obstacle, map_.step_m, map_.variance_m2
-    for at, is_one in ((before, stairs), (here, stairs & (event.kind == btm.OBSTACLE))):
-        obstacle = mark(obstacle, at, btm.STAIRS, is_one)
-        step = mark(step, at, jnp.fmax(found.riser_m, step[at]), is_one)
-    for at, is_one in ((before, is_judged), (here, is_judged & (event.kind == btm.OBSTACLE))):
-        variance = mark(variance, at, jnp.fmax(found.variance_m2, variance[at]), is_one)
-    known = map_.posture_deg[before]
     # On the ground between, without the ramps of the robot's own length at both ends.
     margin = robot.length_m / 2 + 0.05
     on_it = (way.odometer_m > writer.node_m + margin) & (way.odometer_m < event.odometer_m - margin)
-    n = jnp.sum(on_it)
-    even = jnp.degrees(jnp.sum(jnp.where(on_it, way.posture, 0)) / jnp.maximum(n, 1))
-    even = jnp.where(over & (n > 0) & (even > tuning.inclination_deg), even, jnp.nan)
-    inclination = map_.inclination_deg
-    for at, is_one in ((before, over), (here, over & (event.kind == btm.OBSTACLE))):
-        inclination = mark(inclination, at, jnp.fmax(inclination[at], even), is_one)
+    even = jnp.degrees(jnp.sum(jnp.where(on_it, way.posture, 0)) / jnp.maximum(jnp.sum(on_it), 1))
+    even = jnp.where(over & jnp.any(on_it) & (even > tuning.inclination_deg), even, jnp.nan)
+    measures = {
+        "obstacle": (stairs, jnp.int32(btm.STAIRS)),
+        "step_m": (stairs, found.riser_m),
+        "variance_m2": (is_judged, found.variance_m2),
+        "inclination_deg": (over, even),
+    }
+    for at, is_one in ((before, True), (here, event.kind == btm.OBSTACLE)):
+        for name, (when, value) in measures.items():
+            map_ = map_.replace(**{name: _raised(getattr(map_, name), jnp.where(when & is_one, at, n), value)})
+    map_ = map_.replace(posture_deg=_raised(map_.posture_deg, jnp.where(over, before, n), posture))
     risers = found.highest_m + jnp.abs(found.slope) * ground_profile.RISE_M
     step_here = jnp.where(stairs, jnp.maximum(found.riser_m, risers), found.highest_m)
-    map_ = map_.replace(
-        obstacle=obstacle,
-        step_m=step,
-        variance_m2=variance,
-        inclination_deg=inclination,
-        posture_deg=mark(map_.posture_deg, before, jnp.fmax(known, posture), over),
-    )
     return map_, jnp.where(found.count >= 3, step_here, jnp.nan)
+
+
+def _raised(array, at, value):
+    """Raise one entry to a value; NaN counts as none, an index beyond the last does nothing."""
+    return array.at[at].set(jnp.fmax(value, array.at[at].get(mode="clip")), mode="drop")

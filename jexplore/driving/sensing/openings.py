@@ -8,7 +8,6 @@ from jax import Array
 from jexplore.btm import wrapped
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import Openings
-from jexplore.driving.sensing.perception import running_sum
 
 BEARINGS = 240  # directions round a place in which its nearest point is looked for
 WALL = 40  # directions on either side of a gap in which its walls are looked at
@@ -43,8 +42,6 @@ def find_gaps(point: Array, last: Array, here: Array, width_m: Array | float) ->
 
 def _grazes(point, after, here, centre, seen_from):
     """Return whether a gap of less than half a turn begins and ends in nearly one direction from the robot."""
-    if seen_from is None:
-        return jnp.zeros_like(here)
     one, other = (place + centre - seen_from for place in (point, after))
     apart = jnp.arctan2(one[:, 1], one[:, 0]) - jnp.arctan2(other[:, 1], other[:, 0])
     span = (_next(here) - jnp.arange(BEARINGS)) % BEARINGS  # 0: the gap is all there is
@@ -75,9 +72,11 @@ def polar_points(offset: Array, distance: Array, inside: Array, most_m: Array | 
     return point, last, here
 
 
-def find_openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
-             circle: Array | float, size: int, seen_from: Array | None = None) -> Openings:  # fmt: skip
-    """Find gaps between neighbouring points in a circle, seen from its centre, that a robot fits through.
+def find_openings(
+    xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
+    circle: Array | float, size: int, seen_from: Array | None = None,
+) -> Openings:  # fmt: skip
+    """Find gaps between neighbouring points in the search circle, seen from its centre, that a robot fits through.
 
     Args:
       circle: radius of the search circle [k], in `radius_m`; points beyond it are left out.
@@ -92,42 +91,26 @@ def find_openings(xy: Array, valid: Array, centre: Array, radius_m: Array | floa
       Mano et al., section III.B and Fig. 2(f). Changed: points in polar order about the centre; the paper takes those
       of one scan, in polar order about the robot, which does not see behind it.
     """
-    offset = xy - centre
-    search_m = circle * radius_m
+    offset, search_m = xy - centre, circle * radius_m
     distance = jnp.hypot(*offset.T)
     point, last, here = polar_points(offset, distance, valid & (distance <= search_m), search_m)
     after, width, gap_here = find_gaps(point, last, here, width_m)
-    gap_here &= ~_grazes(point, after, here, centre, seen_from)
+    if seen_from is not None:
+        gap_here &= ~_grazes(point, after, here, centre, seen_from)
+    (begins,) = jnp.nonzero(gap_here, size=size, fill_value=BEARINGS)
+    there, begins = begins < BEARINGS, jnp.minimum(begins, BEARINGS - 1)
+    middle, bearing, narrowest = _narrowest(point, here, gap_here, begins, _next(here)[begins], radius_m)
     only = jnp.sum(here) == 1
-    chosen = first_true(gap_here, size)
-    valid = jnp.any(chosen, axis=1)
-    begins = jnp.argmax(chosen, axis=1)
-    ends = _next(here)[begins]
-    middle, across, narrowest = _narrowest(point, here, gap_here, begins, ends, radius_m)
     middle = jnp.where(only, -point[jnp.argmax(here)], middle)
-    across = jnp.where(only, jnp.arctan2(middle[:, 1], middle[:, 0]), across)
-    wide = jnp.where(only, jnp.sum(jnp.where(gap_here, width, 0)), narrowest)
-    return _sorted(valid, middle, across, wide, jnp.maximum(jnp.sum(gap_here, dtype=jnp.int32) - size, 0))
-
-
-def first_true(mask: Array, size: int) -> Array:
-    """Return which value each of the first K True ones of a mask is: `[K, N]` bool."""
-    number = running_sum(mask.astype(jnp.float32)).astype(jnp.int32) - 1
-    return mask & (number == jnp.arange(size)[:, None])
-
-
-def _sorted(valid, middle, across, wide, more):
-    """Return `Openings` counter-clockwise, of which `more` did not fit."""
     towards = jnp.arctan2(middle[:, 1], middle[:, 0])
-    order = jnp.argsort(jnp.where(valid, towards, jnp.inf))
-    there = valid[order]
+    order = jnp.argsort(jnp.where(there, towards, jnp.inf))
+    there, own = there[order], there[order][:, None]
     return Openings(
-        bearing=jnp.where(there, across[order], 0),
-        middle=jnp.where(there[:, None], middle[order], 0),
-        across=jnp.where(there, across[order], 0),
-        width_m=jnp.where(there, wide[order], 0),
+        bearing=jnp.where(there, jnp.where(only, towards, bearing)[order], 0),
+        middle=jnp.where(own, middle[order], 0),
+        width_m=jnp.where(there, jnp.where(only, jnp.sum(jnp.where(gap_here, width, 0)), narrowest)[order], 0),
         valid=there,
-        overflow=more,
+        overflow=jnp.maximum(jnp.sum(gap_here, dtype=jnp.int32) - size, 0),
     )
 
 

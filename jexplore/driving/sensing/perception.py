@@ -11,9 +11,10 @@ from jexplore.arrays.delaunay import circumcircles, delaunay
 from jexplore.arrays.loops import stored
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import Divergence
+from jexplore.driving.settings import Tuning
 
+SCAN_POINTS = 64  # that are made into triangles
 SMOOTHED_BEAMS = 6  # beams on either side that a point is smoothed with
-BRIDGED_BEAMS = 3  # beams without a reading that are bridged
 CLEARANCE_BEAMS = 3  # beams on either side that the width of a passage is the mean of
 ROOMY_BACK_RADII = 0.0, 0.2, 0.4, 0.6  # radii by which that may begin nearer
 
@@ -26,17 +27,8 @@ def beam_points(ranges_m: Array, angles_rad: ArrayLike) -> tuple[Array, Array]:
       angles_rad: `[B]` float32.
 
     Returns:
-      `(xy, valid)`: `[B, 2]` float32, 0 where invalid; `[B]` bool. Up to `BRIDGED_BEAMS` beams without a reading
-        between two that nearly agree are given the mean of these.
+      `(xy, valid)`: `[B, 2]` float32, 0 where invalid; `[B]` bool.
     """
-    before = after = ranges_m
-    missed = -jnp.ones_like(ranges_m)
-    for k in range(1, BRIDGED_BEAMS + 1):
-        missed = missed + jnp.isnan(before) + jnp.isnan(after)
-        before = jnp.where(jnp.isnan(before), jnp.pad(ranges_m, (k, 0), constant_values=jnp.nan)[:-k], before)
-        after = jnp.where(jnp.isnan(after), jnp.pad(ranges_m, (0, k), constant_values=jnp.nan)[k:], after)
-    bridged = jnp.isnan(ranges_m) & (missed <= BRIDGED_BEAMS)
-    ranges_m = jnp.where(bridged, (before + after) / 2, ranges_m)
     valid = jnp.isfinite(ranges_m)
     r = jnp.where(valid, ranges_m, 0)
     return jnp.stack([r * jnp.cos(angles_rad), r * jnp.sin(angles_rad)], axis=1), valid
@@ -156,7 +148,7 @@ def resample_walls(
     jump = ~(inside[1:] & inside[:-1]) | (step > 1 / P.places.spacing_widths * spacing_m)
     edge = jnp.ones(1, bool)
     ends = inside & (jnp.concatenate([edge, jump]) | jnp.concatenate([jump, edge]))
-    along = running_sum(jnp.concatenate([jnp.zeros(1), jnp.where(jump, 0, step)]))
+    along = jnp.cumsum(jnp.concatenate([jnp.zeros(1), jnp.where(jump, 0, step)]))
     n_ends = size // 4
     n_ticks = size - n_ends
     spacing = jnp.maximum(spacing_m, along[-1] / n_ticks)
@@ -167,52 +159,21 @@ def resample_walls(
     before = jnp.where(on_wall, before, 0)
     share = jnp.where(on_wall, (tick - along[before]) / jnp.where(step > 0, step, 1)[before], 0)
     ticks = xy[before] + share[:, None] * (xy[before + 1] - xy[before])
-    place = jnp.where(ends, running_sum(ends.astype(jnp.float32)).astype(jnp.int32) - 1, n_ends)
+    place = jnp.where(ends, jnp.cumsum(ends) - 1, n_ends)
     ended = jnp.zeros((n_ends, 2)).at[place].set(xy, mode="drop")
     there = jnp.concatenate([on_wall, jnp.arange(n_ends) < jnp.sum(ends)])
     overflow = jnp.maximum(jnp.sum(ends, dtype=jnp.int32) - n_ends, 0)
     return jnp.concatenate([ticks, ended]), there, spacing, overflow
 
 
-def running_sum(values: Array) -> Array:
-    """Compute sums of the first 1, 2, ... values, by doubling."""
-    n = values.shape[0]
-
-    def doubled(i, sums):
-        return sums + lax.dynamic_slice(jnp.pad(sums, (n, 0)), (n - (1 << i),), (n,))
-
-    return lax.fori_loop(0, (n - 1).bit_length(), doubled, values)
-
-
-def far_bound(
-    far_m: Array | float, width_m: Array | float, beam_spacing_rad: Array | float, wall_m: Array | float
-) -> Array:
-    """Compute the distance up to which neighbouring beams on a wall lie closer than the least opening: metres."""
-    return jnp.minimum(far_m, 0.95 * jnp.sqrt(width_m * jnp.minimum(wall_m, far_m) / beam_spacing_rad))
-
-
-def find_divergences(
-    xy: Array,
-    valid: Array,
-    *,
-    far_m: Array | float,
-    width_m: Array | float,
-    obtuse_tol_deg: Array | float,
-    open_m: Array | float,
-    size: int,
-) -> Divergence:
+def find_divergences(xy: Array, valid: Array, tuning: Tuning) -> Divergence:
     """Find triangles that touch three walls: between them the way divides, bends or ends.
-
-    Args:
-      obtuse_tol_deg: no angle is more than this above 90 degrees.
-      open_m: circles as large as this lie in free space and are left out [C1], metres.
-      size: most scan points. Static.
 
     Source:
       Mano et al., section III.A.1; Silver et al. 2004. Changed: the tolerance (a dead end's triangle has a right angle,
       so that half of all scans would lose it), and circles in free space are left out.
     """
-    # Beams far aside meet a wall next to a tilted robot too far apart, however near ahead.
+    far_m, width_m, open_m, size = tuning.far_m, tuning.width_m, tuning.open_m, SCAN_POINTS
     valid &= jnp.sum(xy**2, axis=1) < far_m**2
     xy = smooth_points(xy, valid, width_m / 4)
     chosen, there, spacing, overflow = resample_walls(
@@ -226,7 +187,7 @@ def find_divergences(
     # Two points with one between them on a wall make no side: noise may push that one out of the circle.
     side = jnp.maximum(width_m, spacing / P.places.spacing_widths)
     keep = triangles.valid & (jnp.min(side2, axis=1) > side**2) & (radius < open_m)
-    keep &= cosine >= -jnp.sin(jnp.radians(obtuse_tol_deg))
+    keep &= cosine >= -jnp.sin(jnp.radians(tuning.obtuse_tol_deg))
     keep &= ~_on_one_wall(chosen, there, centre, triangles.corner, P.places.recess_widths * width_m)
     corners = chosen[jnp.minimum(triangles.corner, size - 1)]
     return Divergence(corners=corners, centre=centre, radius=radius, valid=keep, overflow=overflow + triangles.overflow)
@@ -267,14 +228,3 @@ def _turned_left(x, y, to_x, to_y):
     dot, cross = x * to_x + y * to_y, x * to_y - y * to_x
     share = cross / jnp.maximum(jnp.abs(dot) + jnp.abs(cross), 1e-30)
     return jnp.where(dot < 0, 2 - share, jnp.where(cross < 0, 4 + share, share))
-
-
-def nearest(found: Divergence, place: Array) -> tuple[Array, Array]:
-    """Find the triangle whose centre is nearest to a place.
-
-    Returns:
-      `(which, distance_m)`: int32, float32; inf without a triangle.
-    """
-    d2 = jnp.where(found.valid, jnp.sum((found.centre - place) ** 2, axis=1), jnp.inf)
-    which = jnp.argmin(d2).astype(jnp.int32)
-    return which, jnp.sqrt(d2[which])

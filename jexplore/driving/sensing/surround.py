@@ -13,22 +13,15 @@ from jax import Array
 from jexplore.arrays import vectorised
 from jexplore.btm import wrapped
 from jexplore.driving.params.tree import P
-from jexplore.driving.records import Surround
+from jexplore.driving.records import SECTORS, Surround
 from jexplore.driving.settings import Robot
 from jexplore.driving.vehicle import ANGLES_RAD, to_robot
 
-SECTORS = 360  # directions, a degree each, from -180 degrees
-NO_POINT = 2**31 - 1
 DIRECTIONS = 72  # in which the way is looked at
-TURN_STEPS = 36  # of half a turn each way
+TURN_STEPS = DIRECTIONS // 2  # of half a turn each way
 
 DIRECTION = np.radians(np.arange(DIRECTIONS) * (360 / DIRECTIONS) - 180).astype(np.float32)
 _SWEEP = np.radians(np.arange(1, TURN_STEPS + 1) * (180 / TURN_STEPS)).astype(np.float32)
-
-
-def empty_surround() -> Surround:
-    """Return an empty `Surround`."""
-    return Surround(jnp.full(SECTORS, jnp.inf), jnp.full(SECTORS, jnp.inf))
 
 
 def known_points(around: Surround) -> tuple[Array, Array]:
@@ -69,8 +62,9 @@ def add_scan(around: Surround, ranges_m: Array) -> Surround:
     sector = jnp.where(known, sector % SECTORS, SECTORS)
     # Of the points that were known the nearest in every direction: distance and number in one integer.
     millimetres = (1000 * jnp.hypot(xy[:, 0], xy[:, 1])).astype(jnp.int32)
-    code = jnp.full(SECTORS, NO_POINT, jnp.int32).at[sector].min(millimetres * 512 + jnp.arange(SECTORS), mode="drop")
-    there = code != NO_POINT
+    none = np.iinfo(np.int32).max
+    code = jnp.full(SECTORS, none).at[sector].min(millimetres * 512 + jnp.arange(SECTORS), mode="drop")
+    there = code != none
     at = jnp.where(there, code % 512, 0)
     angle = jnp.asarray(np.pad(ANGLES_RAD, (first, SECTORS - first - len(ANGLES_RAD))))
     returns = jnp.isfinite(scan)
