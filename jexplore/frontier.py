@@ -142,44 +142,21 @@ def frontier_clusters(
     """
     chex.assert_rank(frontier, 2)
     chex.assert_type(frontier, bool)
-    (height, width), none = frontier.shape, frontier.size
-    cells = groups.list_cells(frontier, most_cells(frontier.shape) if max_cells is None else min(none, max_cells))
-    used, lowest = cells.cell < none, groups.lowest_of_group(cells)
-    is_first = used & (lowest == lax.iota(jnp.int32, used.shape[0]))
-    # A cluster's first cell comes before its others; `max_clusters` is the number of a cell without a slot.
-    number = jnp.cumsum(is_first, dtype=jnp.int32)[lowest] - 1
-    number = jnp.where(used, jnp.minimum(number, max_clusters), max_clusters)
-    row, col = cells.cell // width, cells.cell % width
-    sums = jnp.zeros((3, max_clusters), jnp.int32).at[:, number].add(jnp.stack([used, row, col]), mode="drop")
-    misfit = groups.at(cost, cells.cell, 0) if cost is not None else _off_centroid(row, col, sums, number)
-    worst = jnp.inf if cost is None else jnp.iinfo(jnp.int32).max
-    best = jnp.full(max_clusters, worst, misfit.dtype).at[number].min(misfit, mode="drop")
-    good = misfit == best.at[number].get(mode="clip")
-    chosen = jnp.full(max_clusters, none, jnp.int32)
-    chosen = chosen.at[jnp.where(good, number, max_clusters)].min(cells.cell, mode="drop")
-    own = jnp.where(number < max_clusters, number, -1)
-    count, has_cells = jnp.sum(is_first, dtype=jnp.int32), sums[0] > 0
+    height, width = frontier.shape
+    none = height * width
+    cells = groups.grouped(frontier, most_cells(frontier.shape) if max_cells is None else min(none, max_cells))
+    number, count, total = _sizes(cells, width, max_clusters)
+    chosen, label = _members(cells, number, total, cost, frontier.shape)
+    used = total[0] > 0
     return Clusters(
-        label=jnp.full(none, -1, jnp.int32).at[cells.cell].set(own, mode="drop").reshape(height, width),
-        size=sums[0],
-        row=jnp.where(has_cells, chosen // width, -1),
-        col=jnp.where(has_cells, chosen % width, -1),
+        label=label.reshape(height, width),
+        size=total[0],
+        row=jnp.where(used, chosen // width, -1),
+        col=jnp.where(used, chosen % width, -1),
         count=count,
         overflow=jnp.maximum(count - max_clusters, 0),
         left_out=cells.overflow,
     )
-
-
-def _off_centroid(row: Array, col: Array, sums: Array, number: Array) -> Array:
-    """Return the squared distances of cells from their clusters' centroids: float32.
-
-    In units of 1 / size, squared: integers would overflow, and equal distances must tie. `sums` are the clusters' cells
-    and the sums of their rows and columns.
-    """
-    size, sum_row, sum_col = sums.at[:, number].get(mode="clip")
-    dr = (row * size - sum_row).astype(jnp.float32) / jnp.maximum(size, 1)
-    dc = (col * size - sum_col).astype(jnp.float32) / jnp.maximum(size, 1)
-    return dr * dr + dc * dc
 
 
 def large_groups(frontier: Array, least: int) -> Array:
@@ -190,3 +167,69 @@ def large_groups(frontier: Array, least: int) -> Array:
     most = -(-height // 2) * -(-width // 2)  # groups that do not touch
     found = frontier_clusters(frontier, max_clusters=most, max_cells=frontier.size)
     return frontier & (found.size[found.label] >= least)
+
+
+def _sizes(cells: groups.Groups, width: int, max_clusters: int) -> tuple[Array, Array, Array]:
+    """Label the listed cells by cluster, and sum the clusters up.
+
+    Returns:
+      `(number, n, sums)`: `[K]` int32, `max_clusters` for one that does not fit; int32, clusters; `[3, M]` int32, their
+        cells, the sum of their rows, and of their columns.
+    """
+
+    def add(slot: Array, used: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        number, total, count = state
+        at, lowest = groups.read(cells.cell, slot), groups.read(cells.lowest, slot)
+        is_first = used & (lowest == slot)
+        # A cluster's first cell comes before its others, so that its number is known by then.
+        own = count + jnp.cumsum(is_first, dtype=jnp.int32) - 1
+        number = groups.write(number, slot, is_first, jnp.minimum(own, max_clusters))
+        own = number[lowest]
+        number = groups.write(number, slot, used, own)
+        which = jnp.where(used, own, max_clusters)
+        more = jnp.stack([jnp.ones_like(at), at // width, at % width])
+        return number, total.at[:, which].add(more, mode="drop"), count + jnp.sum(is_first, dtype=jnp.int32)
+
+    number = jnp.full(cells.cell.shape, max_clusters, jnp.int32)
+    start = number, jnp.zeros((3, max_clusters), jnp.int32), jnp.int32(0)
+    number, total, count = groups.by_parts(cells, add, start)
+    return number, count, total
+
+
+def _members(
+    cells: groups.Groups, number: Array, total: Array, cost: Array | None, shape: tuple[int, ...]
+) -> tuple[Array, Array]:
+    """Choose the cell that stands for each cluster; arguments from `_sizes` and `frontier_clusters`.
+
+    Returns:
+      `(member, label)`: `[M]` int32, flat index; `[H * W]` int32, the cluster of every cell of the map.
+    """
+    none, width, max_clusters = shape[0] * shape[1], shape[1], total.shape[1]
+
+    def off(slot: Array, which: Array) -> Array:
+        """Return the misfit of the cells of a part as representatives of their clusters."""
+        at = groups.read(cells.cell, slot)
+        if cost is not None:
+            return groups.at(cost, at, 0)
+        # In units of 1 / size, squared: integers would overflow, and equal distances must tie.
+        size, sum_row, sum_col = total.at[:, which].get(mode="clip")
+        dr = (at // width * size - sum_row).astype(jnp.float32) / jnp.maximum(size, 1)
+        dc = (at % width * size - sum_col).astype(jnp.float32) / jnp.maximum(size, 1)
+        return dr * dr + dc * dc
+
+    def least(slot: Array, used: Array, state: Array) -> Array:
+        which = jnp.where(used, groups.read(number, slot), max_clusters)
+        return state.at[which].min(off(slot, which), mode="drop")
+
+    def first_of_the_best(slot: Array, used: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
+        chosen, label = state
+        at, own = groups.read(cells.cell, slot), groups.read(number, slot)
+        which = jnp.where(used, own, max_clusters)
+        good = off(slot, which) == best.at[which].get(mode="clip")
+        chosen = chosen.at[jnp.where(good, which, max_clusters)].min(at, mode="drop")
+        return chosen, label.at[jnp.where(used, at, none)].set(jnp.where(own < max_clusters, own, -1), mode="drop")
+
+    worst = jnp.full(max_clusters, jnp.iinfo(jnp.int32).max) if cost is not None else jnp.full(max_clusters, jnp.inf)
+    best = groups.by_parts(cells, least, worst)
+    blank = jnp.full(max_clusters, none, jnp.int32), jnp.full(none, -1, jnp.int32)
+    return groups.by_parts(cells, first_of_the_best, blank)

@@ -178,6 +178,18 @@ def everything(belief, beams):
     return at, clusters.looks(belief, at, beams), clusters.paths_apart(belief, at), known.traversable
 
 
+def test_targets_by_hand():
+    belief = beliefs.belief_of(NICHES, **ONE_METRE)
+    at, (unknown, seen_known), apart_m, _ = everything(belief, beliefs.table(STAR, belief))
+    n = int(at.used.sum())
+    assert list(zip(at.row[:n].tolist(), at.col[:n].tolist())) == [A, B, C]
+    assert at.path_m[:n].tolist() == [4, 2, 6]
+    want = np.full((len(at.row), len(at.row)), np.inf)
+    want[:3, :3] = [[0, 6, 10], [6, 0, 4], [10, 4, 0]]
+    np.testing.assert_array_equal(apart_m, want)
+    assert (unknown[:4].tolist(), seen_known[:4].tolist()) == ([1, 1, 1, 0], [3, 3, 3, 0])
+
+
 def test_the_best_of_some_targets():
     at = clusters.Targets(*jnp.asarray([[0, 0, 0, -1]] * 2), jnp.asarray([1, 1, 1, 0], bool),
                           jnp.asarray([3.0, 2, 4, jnp.inf]), jnp.asarray([1, 1, 1, 0]), jnp.int32(0))  # fmt: skip

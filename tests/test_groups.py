@@ -1,5 +1,7 @@
 """Lists of a mask's True cells and their 8-connected groups: pencil cases, numpy, scipy, laws."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,20 +19,14 @@ SHAPES = ((1, 1), (3, 40), (70, 5))  # wider and taller than a machine word
 masks = st.tuples(st.sampled_from(SHAPES), st.sampled_from((0.0, 0.1, 0.4, 1.0)), st.integers(0, 2**30)).map(
     lambda case: np.random.default_rng(case[2]).random(case[0]) < case[1]
 )
+GROUPED = jax.jit(groups.grouped, static_argnames=("size", "part"))
 EIGHT = np.ones((3, 3))
 
 
-@jax.jit
-def grouped(mask):
-    """List a mask's cells and their groups."""
-    cells = groups.list_cells(mask, 80)
-    return cells, groups.lowest_of_group(cells)
-
-
-@given(masks)
+@given(masks, st.sampled_from((7, 64, 80)))
 @settings(max_examples=25, deadline=None)
-def test_groups_are_scipys(mask):
-    found, lowest = grouped(jnp.asarray(mask))
+def test_groups_are_scipys(mask, part):
+    found = GROUPED(jnp.asarray(mask), size=80, part=part)
     flat = np.flatnonzero(mask)[:80]
     n = len(flat)
     assert found.cell[:n].tolist() == flat.tolist()
@@ -39,21 +35,23 @@ def test_groups_are_scipys(mask):
     kept[flat] = True
     label = ndimage.label(kept.reshape(mask.shape), EIGHT)[0].reshape(-1)[flat]
     first = [int(np.flatnonzero(label == own)[0]) for own in label]
-    assert lowest.tolist() == first + list(range(n, len(found.cell)))
-    assert int(found.overflow) == mask.sum() - n
+    assert found.lowest.tolist() == first + list(range(n, len(found.cell)))
+    assert (int(found.count), int(found.overflow)) == (n, mask.sum() - n)
 
 
 def test_a_long_winding_group_is_one_and_rows_of_a_batch_are_independent():
-    mask = np.ones((9, 10), bool)
+    mask = np.ones((21, 20), bool)
     mask[1::2] = False
-    mask[np.arange(1, 9, 2), np.where(np.arange(4) % 2, 0, 9)] = True
+    mask[np.arange(1, 21, 2), np.where(np.arange(10) % 2, 0, 19)] = True
     some = jnp.asarray(np.stack([mask, mask & False, mask.copy()]))
-    some = some.at[2, 5].set(False)
-    batch = jax.vmap(grouped)(some)
+    some = some.at[2, 11].set(False)
+    grouped = functools.partial(groups.grouped, size=300, part=32)
+    batch = jax.jit(jax.vmap(grouped))(some)
     for i, want in enumerate((1, 0, 2)):
-        cells, lowest = grouped(some[i])
-        jax.tree.map(lambda many, single, i=i: np.testing.assert_array_equal(many[i], single), batch, (cells, lowest))
-        assert len(set(np.asarray(lowest)[np.asarray(cells.cell) < mask.size].tolist())) == want
+        alone = grouped(some[i])
+        jax.tree.map(lambda many, single, i=i: np.testing.assert_array_equal(many[i], single), batch, alone)
+        used = np.arange(len(alone.cell)) < int(alone.count)
+        assert len(set(np.asarray(alone.lowest)[used].tolist())) == want
 
 
 LISTED = jax.jit(groups.list_cells, static_argnames="size")

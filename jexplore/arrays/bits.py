@@ -4,6 +4,8 @@ Measured on one CPU core, a 192 x 192 mask: packing 3 microseconds; the disc of 
 packed.
 """
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
 from jax import Array, lax
 
@@ -60,16 +62,32 @@ def _nth_bit(word, n):
     return at
 
 
-def nth_cells(words: Array, n: Array) -> Array:
-    """Return flat indices `[m]` of true cells of a packed mask by their number from 0; 32 K * W if n is too large."""
-    width = words.shape[1]
-    across = transposed(words).T.reshape(-1)  # one word for every 32 columns of a row, row after row
-    until = jnp.cumsum(lax.population_count(across).astype(jnp.int32))  # true cells up to the end of each
+class CellOrder(NamedTuple):
+    """The True cells of a mask counted in (row, col) order."""
+
+    across: Array  # [n] uint32, one word for every 32 columns of a row, row after row
+    until: Array  # [n] int32, True cells up to the end of each
+
+
+def ordered_cells(words: Array) -> CellOrder:
+    """Return the `CellOrder` of a mask: `[K, W]` uint32, packed."""
+    across = transposed(words).T.reshape(-1)
+    return CellOrder(across, jnp.cumsum(lax.population_count(across).astype(jnp.int32)))
+
+
+def nth_of(order: CellOrder, n: Array, width: int) -> Array:
+    """Return flat indices of true cells of a mask `width` wide by number, `[m]` from 0; arbitrary beyond the last."""
+    across, until = order
+    per_row = -(-width // WORD)
     at = jnp.minimum(jnp.searchsorted(until, n, side="right").astype(jnp.int32), across.shape[0] - 1)
     before = until[at] - lax.population_count(across[at]).astype(jnp.int32)
-    per_row = -(-width // WORD)
-    cell = at // per_row * width + at % per_row * WORD + _nth_bit(across[at], n - before)
-    return jnp.where(n < until[-1], cell, WORD * words.size)
+    return at // per_row * width + at % per_row * WORD + _nth_bit(across[at], n - before)
+
+
+def nth_cells(words: Array, n: Array) -> Array:
+    """Return flat indices `[m]` of true cells of a packed mask by their number from 0; 32 K * W if n is too large."""
+    order = ordered_cells(words)
+    return jnp.where(n < order.until[-1], nth_of(order, n, words.shape[1]), WORD * words.size)
 
 
 def first_cells(words: Array, size: int) -> Array:

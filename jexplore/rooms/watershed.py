@@ -92,8 +92,8 @@ def clutter(free: Array, size: Array | float, *, edges: int) -> tuple[Array, Arr
     """
     height, width = free.shape
     edge = ~free & any_within_one(free)
-    cells = groups.list_cells(edge, edges)
-    group = groups.lowest_of_group(cells)  # all round an obstacle, or all round a hole in one
+    cells = groups.grouped(edge, edges)
+    group = cells.lowest  # all round an obstacle, or all round a hole in one
     row, col = cells.cell // width, cells.cell % width
     used = cells.cell < height * width
     bottom, top, left, right = (
