@@ -5,7 +5,7 @@ from jax import Array
 
 from jexplore import btm
 from jexplore.arrays.loops import pick, run_if
-from jexplore.driving import behaviour, links, mapping
+from jexplore.driving import behaviour, mapping
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import Ahead, DueNode, Latch, LoneStep, ScanWalls, State, Track
 from jexplore.driving.sensing import ground_profile, perception, surround
@@ -119,18 +119,20 @@ def _ground_ahead(x, z, robot, state):
 
 
 def _passes_start(state):
-    """Return whether the robot has passed its start node since the last node, along its link: it lies behind, or the
-    known link to it is no longer than the way since. A start in the circle of a divergence is on no link; nor is a
-    robot that leaves a rejected candidate."""
-    writer, map_ = state.writer, state.writer.map
+    """Return whether the robot has passed its start node since the last node, along its link. A start in the circle of
+    a divergence is on no link; nor is a robot that leaves a rejected candidate."""
+    map_ = state.writer.map
     place = to_robot(state.estimate)(jnp.stack([map_.x_m[0], map_.y_m[0]]))
-    followed, to = links.leads_to(writer)
-    gone_m, long_m = state.odometer_m - writer.node_m, map_.length_m[jnp.minimum(writer.link, map_.start.shape[0] - 1)]
-    is_there = (place[0] <= 0) & (jnp.hypot(*place) < P.graph.same_node_m) | (followed & (to == 0) & (gone_m >= long_m))
     within = jnp.hypot(map_.x_m - map_.x_m[0], map_.y_m - map_.y_m[0]) < map_.radius_m
     on_link = ~jnp.any(within & (map_.kind == btm.DIVERGENCE)) & (state.drive.latch != Latch.LOOK)
-    on_link &= (state.drive.latch != Latch.LEAVE) | (writer.passed[3] <= writer.node_m)
-    return on_link & (writer.node != 0) & is_there & (gone_m > P.graph.same_node_m)
+    on_link &= (state.drive.latch != Latch.LEAVE) | (state.writer.passed[3] <= state.writer.node_m)
+    return (
+        on_link
+        & (state.writer.node != 0)
+        & (place[0] <= 0)
+        & (jnp.hypot(*place) < P.graph.same_node_m)
+        & (state.odometer_m - state.writer.node_m > P.graph.same_node_m)
+    )
 
 
 def due_node(state: State, ahead: Ahead, at_goal: Array, is_open: Array, arrives: Array) -> DueNode:
