@@ -33,8 +33,10 @@ OFF = {
     "sensing.every_rad": ALWAYS, "ground.tip_share": NEVER, "ground.level_rad": ALWAYS,
     "ground.noise_shares.1": NEVER, "ground.passed_m": NEVER, "ground.stairs_rise_m": ALWAYS, "ground.face_m": NEVER,
     "places.recess_widths": NEVER, "places.graze_rad": NEVER, "places.ahead_radii": -ALWAYS, "places.alike_m": 1e-6,
-    "places.in_line_rad": NEVER, "graph.shift_m": NEVER, "graph.shift_share": NEVER, "graph.search_every_steps": 1,
-    "motion.replaceable_votes": 0, "motion.stuck_steps": 100000, "motion.latch_steps": 100000,
+    "places.in_line_rad": NEVER, "graph.shift_m": NEVER, "graph.led_node_m": NEVER, "graph.turn_share": NEVER,
+    "graph.shift_share": NEVER, "graph.match_drift.1": ALWAYS, "graph.match_drift.0": NEVER,
+    "graph.search_every_steps": 1, "motion.replaceable_votes": 0, "motion.survey_m": ALWAYS,
+    "motion.stray_steps": 100000, "motion.stuck_steps": 100000, "motion.latch_steps": 100000,
     "motion.taken_rad": ALWAYS,
 }  # fmt: skip
 """Number -> its value at which the rule that it steers does nothing, or does without a number of its own."""

@@ -12,6 +12,7 @@ from ref.runs import a_state
 from jexplore.driving import approach
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import Ahead, Drive, Latch, RunMode, Surround, Track, Walls
+from jexplore.driving.sensing import surround
 from jexplore.driving.sensing.surround import SECTORS
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
 from jexplore.driving.vehicle import SCAN_RANGE_M
@@ -29,8 +30,9 @@ def selected(state, track, pose):
     ranges = cast(T, pose, angles, SCAN_RANGE_M)
     around = Surround(ranges * np.cos(angles), ranges * np.sin(angles))
     ahead = Ahead(**dict.fromkeys(Ahead._fields))._replace(leans=jnp.bool_(False))  # type: ignore[arg-type]
+    ways_m = surround.free_lengths(around, KAMUI)
     state = state.replace(track=track, around=around)
-    return approach.select_branch(state, ahead, TUNING, KAMUI)
+    return approach.select_branch(state, ahead, ways_m, TUNING, KAMUI)
 
 
 def looked_round(robot_x_m=0.0, track_x_m=None, looked=math.pi, age=20):
@@ -61,3 +63,10 @@ def test_a_robot_that_has_looked_round_is_at_a_place_if_it_sees_one_there(robot_
     found, there = looked_round(robot_x_m, track_x_m, looked)
     assert (int(found.drive.latch), bool(there)) == (latch, arrives)
     assert (float(found.writer.passed[3]) == 100) == (latch == Latch.LEAVE)  # then it gives the place up
+
+
+@pytest.mark.jit
+def test_without_a_place_it_takes_the_one_that_it_sees():
+    found, _ = looked_round(age=0)
+    assert (int(found.track.age), int(found.drive.latch)) == (1, Latch.APPROACH)
+    assert found.drive.target.tolist() == pytest.approx([0, Y_M], abs=0.1)  # beams are a degree apart

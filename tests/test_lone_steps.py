@@ -34,6 +34,14 @@ def driven(ground, sigma=0.0, seed=0, way_m=8.0):
     return odometer, _known(x, np.pad(z, (RECENT, 0)).astype(np.float32), len(odometer))
 
 
+def test_the_steepest_rise_by_hand():
+    """Beyond 45 degrees only, between neighbours that both are there, up only."""
+    x, z = np.float32([0, 0.1, 0.2, 0.3, 0.4]), np.float32([0, 0.15, 0.1, 0.6, 0.1])
+    for valid, rise in (([1, 1, 1, 1, 1], 0.4), ([1, 1, 1, 0, 1], 0.05), ([1, 0, 1, 0, 1], 0)):
+        found = ground_profile.steepest_rise(jnp.asarray(x), jnp.asarray(z), jnp.array(valid, bool))
+        assert float(found) == pytest.approx(rise, abs=1e-6)
+
+
 def at_the_end(ground, **noise):
     return jax.tree.map(lambda a: a[-1], driven(ground, **noise)[1])
 

@@ -214,8 +214,8 @@ def outcome_of(writer, due, points=NOTHING):
 
 def write_node(writer, due, points=NOTHING):
     """`(writer, latch, target, shift)`."""
-    writer, latch, target, _, shift = outcome_of(writer, due, points)
-    return writer, int(latch), target.tolist(), shift.tolist()
+    writer, latch, target, _, correction = outcome_of(writer, due, points)
+    return writer, int(latch), target.tolist(), correction.tolist()[:2]
 
 
 def links_of(writer):
@@ -266,6 +266,16 @@ def test_a_t_is_left_to_the_right_whichever_way_it_lies(turn):
     assert shift == [0, 0]
     assert float(writer.left_bearing) == float(map_.start_bearing[onto])
     assert (int(writer.node), float(writer.node_m), bool(writer.exhausted)) == (1, 3.5, False)
+
+
+def test_the_way_in_is_the_opening_by_which_it_came_last():
+    """Along the stem and into the south, then to the middle: its way in lies there, not where it began to approach."""
+    rows = [(x, x, 0, 0, 0, 0, 2.0) for x in (0, 1, 2, 3)] + [(6, 4, -2, 0, 0, 0, 2.0), (7, 4, -1.2, 0, 0, 0, 2.0)]
+    writer = path(begun(), *rows).replace(entry=jnp.asarray([1.0, 0.0]))
+    due = event(DIVERGENCE, 8, (3.75, -0.2, NORTH), T_CENTRE, radius=T_RADIUS)
+    writer, *_ = write_node(writer, due, seen(T_WALLS))
+    assert degrees(writer.map.end_bearing[0]) == pytest.approx(-90, abs=3)
+    assert sorted(degrees(writer.map.start_bearing[i]) % 360 for i in (1, 2)) == pytest.approx([90, 180], abs=3)
 
 
 def hall():
@@ -336,9 +346,17 @@ def test_a_dead_end_sends_back_until_nothing_is_left():
     record.check_map(btm.to_map(writer.map))
 
 
-@pytest.mark.parametrize(("turn_deg", "centre"), [(5, T_CENTRE), (-12, T_CENTRE), (8, (3.95, 0.1)), (30, T_CENTRE)])
-def test_where_a_node_is_met_again_its_place_is_corrected_and_its_turn_told(turn_deg, centre):
-    """The openings are turned against its links by the error of the odometry; one of 30 degrees does not count."""
+@pytest.mark.parametrize(
+    ("turn_deg", "centre", "share"),
+    [
+        (5, T_CENTRE, P.graph.turn_share),
+        (-12, T_CENTRE, P.graph.turn_share),
+        (8, (3.95, 0.1), P.graph.turn_share),
+        (30, T_CENTRE, 0.0),  # one that is off too far is left alone
+    ],
+)
+def test_where_a_node_is_met_again_the_heading_is_corrected(turn_deg, centre, share):
+    """The openings are turned against its links by the error of the odometry."""
     t, *_ = at_the_t()
     dead, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
     turn = math.radians(turn_deg)
@@ -346,15 +364,18 @@ def test_where_a_node_is_met_again_its_place_is_corrected_and_its_turn_told(turn
     due = event(DIVERGENCE, 15.5, (*centre, NORTH + turn), centre, radius=T_RADIUS)
     around = seen(turned(T_WALLS - np.array(T_CENTRE), turn) + centre)
     dead = dead.replace(entry=jnp.asarray(came, jnp.float32))
-    writer, latch, target, out, shift = outcome_of(dead, due, around)
-    np.testing.assert_allclose(shift, P.graph.shift_share * np.subtract(T_CENTRE, centre), atol=1e-6)
-    assert degrees(writer.origin[2]) == pytest.approx(0 if turn_deg == 30 else -turn_deg, abs=1)
-    if turn_deg == 30:
+    writer, latch, target, out, correction = outcome_of(dead, due, around)
+    want = [*P.graph.shift_share * np.subtract(T_CENTRE, centre), -share * turn]
+    np.testing.assert_allclose(correction, want, atol=math.radians(1))
+    np.testing.assert_allclose(correction[:2], want[:2], atol=1e-6)
+    if share == 0:
         return
-    # The robot drives to where it sees the target.
-    target = turned(np.subtract(target, centre) - shift, -turn) + T_CENTRE
+    # The robot drives to where it sees the target, as if the odometry had not been off but for the uncorrected rest.
+    left = turn - share * turn
+    assert degrees(writer.origin[2]) == pytest.approx(-math.degrees(left), abs=1)
+    target = turned(np.subtract(target, T_CENTRE), -left) + T_CENTRE
     assert (int(latch), int(writer.link)) == (Latch.LEAVE, 3 - int(t.link))
-    assert degrees(out - turn) == pytest.approx(90, abs=4)
+    assert degrees(out - left) == pytest.approx(90, abs=4)
     assert target[0] == pytest.approx(4, abs=0.15)
     assert 1 < float(target[1]) - TUNING.leave_m < 1.56
 
@@ -377,8 +398,8 @@ def at_a_place(around, radius=1.0, stands=(0.0, 0.0)):
     """`(writer, latch, target, out)` before and after arrival at the origin, from the west."""
     writer = begun((-4.0, 0.0, 0.0)).replace(entry=jnp.asarray([-2.0, 0.0]))
     due = event(DIVERGENCE, 4, (*stands, 0.0), (0.0, 0.0), radius=radius)
-    after, latch, target, out, shift = outcome_of(writer, due, seen(around))
-    assert shift.tolist() == [0, 0]
+    after, latch, target, out, correction = outcome_of(writer, due, seen(around))
+    assert correction.tolist() == [0, 0, 0]
     return writer, after, int(latch), target.tolist(), float(out)
 
 
@@ -399,15 +420,23 @@ def test_a_place_with_two_openings_in_line_is_passed(by_deg, passes):
         assert links_of(after) == [(0, 1, SEARCHED), (1, NONE, UNSEARCHED)]
 
 
-def test_a_link_that_the_robot_sets_off_on_twice_in_vain_is_given_up():
+def test_when_nothing_else_is_left_links_that_were_given_up_are_tried_again():
     t, *_ = at_the_t()
     south, north = int(t.link), 3 - int(t.link)
     writer, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
-    for tries, given_up in ((0, False), (1, False), (2, True)):
-        vain = writer.replace(tries=writer.tries.at[north].set(tries))
-        after, *_ = at_a_dead_end(vain, (4.1, -6.1), SOUTH, 20)
-        assert (bool(after.exhausted), bool(after.map.blocked[north])) == (given_up, given_up)
-        assert given_up or int(after.link) == south  # on the way there
+    after, *_ = at_a_dead_end(writer, (4.1, -6.1), SOUTH, 20)
+    assert (int(after.link), bool(after.exhausted), int(after.last_chance)) == (south, False, 2)
+    assert int(after.fails[south]) == 0  # once more
+    vain = writer.replace(tries=writer.tries.at[north].set(1))
+    after, *_ = at_a_dead_end(vain, (4.1, -6.1), SOUTH, 20)
+    assert (int(after.link), bool(after.exhausted), int(after.last_chance)) == (south, False, 2)  # on the way there
+    assert (int(after.tries[north]), bool(after.map.blocked[north])) == (0, False)
+    after, *_ = at_a_dead_end(vain.replace(last_chance=jnp.int32(1)), (4.1, -6.1), SOUTH, 20)
+    assert (bool(after.exhausted), bool(after.map.blocked[north])) == (True, True)
+    # A searched one beyond which others are left gets more chances, while some are made use of: two are searched now.
+    for last_chance, exhausted in ((1, False), (2, True)):
+        after, *_ = at_a_dead_end(writer.replace(last_chance=jnp.int32(last_chance)), (4.1, -6.1), SOUTH, 20)
+        assert (bool(after.exhausted), int(after.last_chance)) == (exhausted, 2)
     # What the ground has stopped stays blocked.
     stopped = writer.replace(map=writer.map.replace(blocked=writer.map.blocked.at[north].set(True)))
     after, *_ = at_a_dead_end(stopped, (4.1, -6.1), SOUTH, 20)

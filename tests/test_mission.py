@@ -280,7 +280,7 @@ def test_how_runs_may_end(change, outcome):
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_a_robot_that_does_not_get_on_is_helped(course):
+def test_a_robot_that_drives_up_and_down_is_helped(course):
     building = jax.tree.map(jnp.asarray, course.plan.building)
 
     @jax.jit
@@ -290,14 +290,14 @@ def test_a_robot_that_does_not_get_on_is_helped(course):
         return approach.help_robot(state, senses, makes_node, building, KAMUI)
 
     body = vehicle.initial_body(building, KAMUI, jnp.asarray(course.plan.begins[0]))
-    state = a_state(body=body, estimate=body.pose, odometry=body.pose)
-    late = state.replace(step=jnp.int32(P.motion.stuck_steps))
+    state = a_state(body=body, estimate=body.pose, odometry=body.pose, stray_from=body.pose[:2])
+    late = state.replace(step=jnp.int32(P.motion.stray_steps), moved_step=jnp.int32(P.motion.stray_steps - 1))
     helped = help_robot(late, False)
-    assert (int(helped.helps), int(helped.moved_step)) == (1, P.motion.stuck_steps)
-    off = late.replace(odometer_m=jnp.float32(P.motion.stuck_m + 0.1))
+    assert (int(helped.helps), int(helped.stray_step)) == (1, P.motion.stray_steps)
+    off = late.replace(estimate=late.estimate.at[0].add(P.motion.stray_m + 0.1))
     for other, makes_node in ((off, False), (late, True), (late.replace(step=late.step - 1), False)):
         assert int(help_robot(other, makes_node).helps) == 0
-    assert float(help_robot(off, False).moved_m) == float(off.odometer_m)
+    assert help_robot(off, False).stray_from.tolist() == off.estimate[:2].tolist()
 
 
 @pytest.mark.slow

@@ -46,13 +46,13 @@ def test_a_leaf_is_no_constant_of_the_program():
 def test_numbers_are_told_by_their_names():
     numbers = default_numbers()
     assert numbers["graph.search_every_steps"] == 3
-    assert [numbers[f"ground.noise_shares.{i}"] for i in (0, 1)] == [10.0, 8.0]
+    assert [numbers[f"graph.beyond_opening_m.{i}"] for i in (0, 1)] == [0.05, 1.0]
     assert list(numbers.values()) == jax.tree.leaves(Params())
     assert params_with({}, 2) is None
     found = params_with(
-        {"ground.noise_shares.1": np.array([1.0, 2.0]), "graph.search_every_steps": np.array([1.0, 4.0])}, 2
+        {"graph.beyond_opening_m.1": np.array([1.0, 2.0]), "graph.search_every_steps": np.array([1.0, 4.0])}, 2
     )
-    assert found.ground.noise_shares[1].tolist() == [1, 2]
+    assert found.graph.beyond_opening_m[1].tolist() == [1, 2]
     assert (found.graph.search_every_steps.tolist(), found.graph.search_every_steps.dtype) == ([1, 4], np.int32)
     assert found.graph.blind_steps.tolist() == [20, 20]
     for leaf, number in zip(jax.tree.leaves(found), numbers.values()):

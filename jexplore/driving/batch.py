@@ -16,7 +16,7 @@ from jexplore.config import InputError
 from jexplore.driving import vehicle
 from jexplore.driving.building.terrain import terrain_of
 from jexplore.driving.building.walls import walls_of
-from jexplore.driving.mission import MAP_SIZE, MissionTask, RunResult, Setup, mission_program
+from jexplore.driving.mission import MAP_SIZE, MissionTask, RunOutcome, RunResult, Setup, mission_program
 from jexplore.driving.params.tree import Params
 from jexplore.driving.records import Building
 from jexplore.driving.settings import Noise, Robot, Tuning
@@ -202,3 +202,8 @@ def _driven(line):
     if line.detail is None:
         return None
     return Driven(*(np.asarray(a)[: int(line.results.steps[0])] for a in line.detail))
+
+
+def outcome_names(result: RunResult) -> list[str]:
+    """Return the names of the outcomes of a `RunResult` of many runs."""
+    return [RunOutcome(int(value)).name for value in result.outcome]

@@ -5,13 +5,14 @@ from jax import Array
 
 from jexplore import btm
 from jexplore.arrays.loops import pick, run_if
-from jexplore.driving import behaviour, mapping
+from jexplore.driving import behaviour, links, mapping
 from jexplore.driving.params.tree import P
-from jexplore.driving.records import Ahead, DueNode, Latch, LoneStep, ScanWalls, State, Track
+from jexplore.driving.records import Ahead, Divergence, DueNode, Latch, LoneStep, ScanWalls, State, Track
 from jexplore.driving.sensing import ground_profile, perception, surround
 from jexplore.driving.settings import Robot, Tuning
-from jexplore.driving.vehicle import ANGLES_RAD, to_odometry, to_robot
+from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, to_odometry, to_robot
 
+SCAN_POINTS = 64  # of a scan that are made into triangles
 PROFILE_STEPS = 64  # steps whose profile of the ground is looked at
 
 
@@ -39,7 +40,7 @@ def look_ahead(state: State, walls: ScanWalls, tuning: Tuning, robot: Robot) -> 
     # Points seen from ground of another inclination, or where the ground rises, may be ground.
     tips = jnp.hypot(*(lean - writer.level.even)) > jnp.radians(tuning.inclination_deg)
     leans = tips | (rise > P.ground.stairs_rise_m)
-    state = _watch(state, leans, tuning)
+    state = _watch(state, walls.beside.min(), leans, tuning)
     inside, border_m, missed = behaviour.watch_free_space(
         state.inside, writer.border_m, state.odometer_m, walls, is_free & looks, tuning
     )
@@ -57,8 +58,13 @@ def look_ahead(state: State, walls: ScanWalls, tuning: Tuning, robot: Robot) -> 
 def _lone_step(state, ground, tips, level, changed, crease_m, blocked, robot):
     """Return `(lone_step, is_lone, after)`: two of `Ahead`, and the remaining `LoneStep` once the node is made; a
     change of the ground's inclination makes the node itself."""
-    writer, (x_m, z_m, posture) = state.writer, ground
-    ground = jnp.where(posture < P.ground.level_rad, x_m, jnp.inf), z_m
+    # What it saw as it tipped over the last step is off.
+    writer, map_ = state.writer, state.writer.map
+    is_step = map_.obstacle[jnp.minimum(writer.node, map_.kind.shape[0] - 1)] == btm.STAIRS
+    is_step &= ~jnp.any(map_.blocked & (map_.start == writer.node))  # from which the robot has turned back
+    beyond_m = jnp.where(is_step, writer.node_m + P.ground.together_m, -jnp.inf)
+    x_m, z_m, posture = ground
+    ground = jnp.where((posture < P.ground.level_rad) & (x_m > beyond_m), x_m, jnp.inf), z_m
     is_level = jnp.hypot(*level.even) < P.ground.level_rad
     is_on = state.odometer_m + robot.length_m / 2 > writer.lone_step.from_m
     looks = is_level & ~tips & ~is_on & (state.drive.latch != Latch.LOOK) & ~state.manoeuvre.backing
@@ -76,7 +82,21 @@ def _lone_step(state, ground, tips, level, changed, crease_m, blocked, robot):
     return now, is_lone & ~changed, pick(gone, LoneStep(), now)
 
 
-def _watch(state, leans, tuning):
+def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) -> Divergence:
+    """Find the triangles of a scan, `wall_m` from the nearer wall: `records.Divergence`."""
+    far_m = perception.far_bound(tuning.far_m, tuning.width_m, BEAM_SPACING_RAD, wall_m)
+    return perception.find_divergences(
+        xy,
+        valid,
+        far_m=far_m,
+        width_m=tuning.width_m,
+        obtuse_tol_deg=tuning.obtuse_tol_deg,
+        open_m=tuning.open_m,
+        size=SCAN_POINTS,
+    )
+
+
+def _watch(state, wall_m, leans, tuning):
     """Search triangles, in every `search_every_steps`-th step: the state with its `Track` and overflow."""
     approaches, turns = state.drive.latch == Latch.APPROACH, state.drive.latch == Latch.LOOK
     placed = to_odometry(state.estimate)
@@ -84,7 +104,7 @@ def _watch(state, leans, tuning):
     is_in = approaches & (jnp.hypot(*(state.track.centre - state.estimate[:2])) < state.track.radius)
 
     def looked(carry):
-        found = perception.find_divergences(*surround.known_points(state.around), tuning)
+        found = triangles(*surround.known_points(state.around), wall_m, tuning)
         known = mapping.is_near_known(state.writer, placed(found.centre), state.odometer_m, tuning.leave_m)
         found = found.replace(valid=found.valid & ~known & (found.centre[:, 0] > 0))
         return behaviour.update_track(carry[0], found, placed, tuning.same_m, ~approaches), found.overflow
@@ -108,9 +128,13 @@ def _ground_ahead(x, z, robot, state):
     slope_m = P.ground.look_m * jnp.tan(jnp.radians(robot.max_slope_deg)) + 0.02
 
     def judged(_):
-        step_m, beyond = ground_profile.profile(x, z, ahead | behind).step_m, ground_profile.profile(x, z, ahead)
+        near, beyond = ground_profile.profile(x, z, ahead | behind), ground_profile.profile(x, z, ahead)
+        step_m = near.step_m
         is_step = ((step_m > robot.max_step_m + P.ground.step_slack_m) | state.halts) & (step_m > P.ground.step_m)
-        stops = is_step | (rise > slope_m) | state.halts
+        # Two steps that it climbs one by one rise more than a slope that it climbs.
+        sudden = ground_profile.steepest_rise(x, z, ahead | behind) > P.ground.step_m
+        gentle = sudden & (near.slope <= jnp.tan(jnp.radians(robot.max_slope_deg)))
+        stops = is_step | ((rise > slope_m) & ~gentle) | state.halts
         slope = jnp.where(beyond.count < 3, jnp.nan, jnp.abs(jnp.arctan(beyond.slope)))
         return stops, (jnp.where(is_step, step_m, 0.0), jnp.where(stops & ~is_step, slope, 0.0))
 
@@ -122,7 +146,10 @@ def _passes_start(state):
     """Return whether the robot has passed its start node since the last node, along its link. A start in the circle of
     a divergence is on no link; nor is a robot that leaves a rejected candidate."""
     map_ = state.writer.map
-    place = to_robot(state.estimate)(jnp.stack([map_.x_m[0], map_.y_m[0]]))
+    followed, to, there = links.led_to(state.writer)
+    is_led, gone_m = followed & (to == 0), state.odometer_m - state.writer.node_m
+    place = to_robot(state.estimate)(jnp.where(is_led, there, jnp.stack([map_.x_m[0], map_.y_m[0]])))
+    within_m = P.graph.same_node_m + jnp.where(is_led, P.graph.drift_share * gone_m, 0.0)
     within = jnp.hypot(map_.x_m - map_.x_m[0], map_.y_m - map_.y_m[0]) < map_.radius_m
     on_link = ~jnp.any(within & (map_.kind == btm.DIVERGENCE)) & (state.drive.latch != Latch.LOOK)
     on_link &= (state.drive.latch != Latch.LEAVE) | (state.writer.passed[3] <= state.writer.node_m)
@@ -130,8 +157,8 @@ def _passes_start(state):
         on_link
         & (state.writer.node != 0)
         & (place[0] <= 0)
-        & (jnp.hypot(*place) < P.graph.same_node_m)
-        & (state.odometer_m - state.writer.node_m > P.graph.same_node_m)
+        & (jnp.hypot(*place) < within_m)
+        & (gone_m > P.graph.same_node_m)
     )
 
 

@@ -1,4 +1,4 @@
-"""The links of a node in a map that is being written."""
+"""The links of a node in a map that is being written, and which known node a place is by its ways."""
 
 import math
 
@@ -6,10 +6,11 @@ import jax.numpy as jnp
 from jax import Array
 
 from jexplore import btm
+from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import Openings, Writer
-from jexplore.driving.vehicle import to_robot
+from jexplore.driving.vehicle import rotate_by, to_robot
 
 
 def turn_to(map_: Btm, node: Array, found: Openings) -> Array:
@@ -57,12 +58,80 @@ def ends_at(map_: Btm, node: Array) -> tuple[Array, Array]:
     return jnp.concatenate(own), jnp.concatenate([map_.start_bearing, map_.end_bearing])
 
 
-def leads_to(writer: Writer) -> tuple[Array, Array]:
-    """Return whether the robot follows a known link, and the node at its end: `(followed, to)`."""
+def _needed(map_, own):
+    """Return the link ends that a place must have to be that node: those not given up, or all if these are too few."""
+    needed = own & ~jnp.tile(map_.blocked, 2)
+    return jnp.where(jnp.sum(needed) > 1, needed, own)
+
+
+def is_alike(map_: Btm, node: Array, found: Openings, back: Array, leads: Array) -> Array:
+    """Return whether a place may be a node: its openings and the node's links match, but for links given up.
+
+    Args:
+      leads: bool, the robot follows a link to that node; else one of the node's links must be un-searched there.
+    """
+    own, bearing = ends_at(map_, node)
+    near = (
+        own[:, None] & found.valid & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < P.places.same_exit_rad)
+    )
+    needed = jnp.where(leads, own & ~jnp.tile(map_.blocked, 2), _needed(map_, own))
+    missing = jnp.sum(needed & ~jnp.any(near, axis=1))
+    more = jnp.sum(found.valid & ~jnp.any(near, axis=0))
+    waits = (
+        (map_.start == node)
+        & btm.open_links(map_)
+        & (jnp.abs(btm.wrapped(map_.start_bearing - back)) < P.places.same_exit_rad)
+    )
+    return (missing == 0) & (more == 0) & (leads | jnp.any(waits))
+
+
+def led_to(writer: Writer) -> tuple[Array, Array, Array]:
+    """Return the end of the followed link, laid out from the odometry position of the last node.
+
+    Returns:
+      `(followed, to, place)`: bool, the robot follows a known link; int32, node at its other end; `[2]` float32.
+    """
     map_, size = writer.map, writer.map.start.shape[0]
     link = jnp.minimum(writer.link, size - 1)
-    to = jnp.where(map_.start[link] == writer.node, map_.end[link], map_.start[link])
-    return (writer.link < size) & (map_.status[link] == btm.SEARCHED), to
+    forward = map_.start[link] == writer.node
+    moved = jnp.stack([map_.moved_x_m[link], map_.moved_y_m[link]])
+    way = jnp.where(forward, moved, rotate_by(-jnp.nan_to_num(map_.turned[link]))(-moved))
+    followed = (writer.link < size) & (map_.status[link] == btm.SEARCHED)
+    place = writer.origin[:2] + rotate_by(-writer.origin[2])(way)
+    return followed, jnp.where(forward, map_.end[link], map_.start[link]), place
+
+
+def match_node(
+    writer: Writer, place: tuple[Array, Array], found: Openings, back: Array, reach: Array, when: Array
+) -> tuple[Array, Array]:
+    """Match a place to a known divergence that lies elsewhere by odometry, which drifts: `(node, bool: matched)`.
+
+    Either the node has exactly the observed exits and the one by which the robot came is un-searched, or it is the end
+    of the followed link, as seen from the last node. The nearest match counts, if no other is nearly as near.
+
+    Args:
+      place: `[2]` float32, its centre, odometry; float32, odometer there.
+      reach: float32, metres: a node within it is matched without these conditions.
+      when: bool, False: do nothing.
+    """
+    map_, (centre, odometer_m) = writer.map, place
+    n = map_.kind.shape[0]
+    followed, to, expected = led_to(writer)
+    leads = followed & (jnp.arange(n) == to)
+    seen = jnp.where(followed, jnp.stack([map_.x_m[to], map_.y_m[to]]) + centre - expected, centre)
+    off_m = jnp.hypot(map_.x_m - seen[0], map_.y_m - seen[1])
+    drift_m = jnp.minimum(P.graph.match_drift[0] * odometer_m, P.graph.match_drift[1])
+    gone_m = odometer_m - writer.node_m
+    limit_m = reach + jnp.where(leads, P.graph.drift_share * gone_m, jnp.where(followed, 0.0, drift_m))
+    may = when & (map_.kind == btm.DIVERGENCE) & (off_m < limit_m) & (jnp.arange(n) != writer.node)
+
+    def judged(_):
+        others = jnp.where((map_.kind == btm.DIVERGENCE) & (jnp.arange(n) != writer.node), off_m, jnp.inf)
+        first = jnp.argmin(jnp.where(may, off_m, jnp.inf)).astype(jnp.int32)
+        is_alone = jnp.min(others.at[first].set(jnp.inf)) > 2 * off_m[first]
+        return first, is_alone & is_alike(map_, first, found, back, leads[first])
+
+    return run_if(jnp.any(may), judged, (jnp.int32(0), jnp.bool_(False)))
 
 
 def link_from(map_: Btm, start: Array, node: Array, back: Array) -> tuple[Array, Array]:
@@ -74,24 +143,50 @@ def link_from(map_: Btm, start: Array, node: Array, back: Array) -> tuple[Array,
     return best, (off[best] < P.graph.same_end_rad) & (start != node)
 
 
-def choose_link(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Btm, Array, Array]:
+def choose_link(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Writer, Btm, Array, Array]:
     """Choose the link by which the robot goes on from a place.
 
-    Un-searched links that it has set off on in vain are left for the end, and after `tries` times given up.
+    Un-searched links that it has set off on in vain are given up, and searched ones that lead elsewhere are followed no
+    more; when nothing else is left, all of them get another chance. After that the searched ones get one whenever
+    un-searched ones are left that were not given up, and more are searched than the last time.
 
     Returns:
-      `(map, link, bearing)`: with those that were given up; int32, `NONE` where nothing is left; radians.
+      `(writer, map, link, bearing)`: with what was given up; int32, `NONE` where nothing is left; radians.
     """
+    fails, vain = _failed(writer, node), (writer.tries > 0) & (map_.status == btm.UNSEARCHED)
+    writer, map_ = writer.replace(fails=fails), map_.replace(blocked=map_.blocked | vain)
 
-    def chosen(tries):
-        vain = (writer.tries >= tries) & (map_.status == btm.UNSEARCHED)
-        left = map_.replace(blocked=map_.blocked | vain)
-        open_link, (hop, hop_bearing, _) = btm.first_open(left, node, back), btm.next_hop(left, node)
-        is_open = open_link != btm.NONE
-        bearing = jnp.where(is_open, map_.start_bearing[jnp.maximum(open_link, 0)], hop_bearing)
-        return left.blocked, jnp.where(is_open, open_link, hop), bearing
+    def chosen(map_, fails):
+        open_link = btm.first_open(map_, node, back)
+        usable = map_.replace(length_m=jnp.where(fails > 0, btm.NO_WAY_M, map_.length_m))
+        hop, hop_bearing, _ = btm.next_hop(usable, node)
+        bearing = map_.start_bearing[jnp.minimum(open_link, map_.start.shape[0] - 1)]
+        return tuple(
+            jnp.where(open_link != btm.NONE, one, two) for one, two in ((open_link, hop), (bearing, hop_bearing))
+        )
 
-    (_, fresh, fresh_bearing), (blocked, link, bearing) = chosen(1), chosen(P.graph.tries)
-    there_is = fresh != btm.NONE
-    link, bearing = jnp.where(there_is, fresh, link), jnp.where(there_is, fresh_bearing, bearing)
-    return map_.replace(blocked=blocked), link, bearing
+    is_first, n_searched = writer.last_chance < 0, jnp.sum(map_.status == btm.SEARCHED, dtype=jnp.int32)
+
+    def again(_):
+        retried = vain & is_first
+        tries, blocked = jnp.where(retried, 0, writer.tries), map_.blocked & ~retried
+        none = jnp.zeros_like(fails)
+        return blocked, tries, none, *chosen(map_.replace(blocked=blocked), none)
+
+    link, bearing = chosen(map_, fails)
+    is_any_open = jnp.any((map_.status == btm.UNSEARCHED) & ~map_.blocked & (writer.tries == 0))
+    more = (link == btm.NONE) & (is_first | (is_any_open & (n_searched > writer.last_chance)))
+    blocked, tries, fails, link, bearing = run_if(more, again, (map_.blocked, writer.tries, fails, link, bearing))
+    last_chance = jnp.where(more, n_searched, writer.last_chance)
+    writer = writer.replace(tries=tries, fails=fails, last_chance=last_chance)
+    return writer, map_.replace(blocked=blocked), link, bearing
+
+
+def _failed(writer, node):
+    """Return `Writer.fails` with the link by which the robot has come to a node."""
+    size = writer.map.start.shape[0]
+    link = jnp.minimum(writer.link, size - 1)
+    followed, to, _ = led_to(writer)
+    return writer.fails.at[jnp.where(followed, link, size)].set(
+        jnp.where(node == to, 0, writer.fails[link] + 1), mode="drop"
+    )

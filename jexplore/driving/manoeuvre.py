@@ -19,6 +19,14 @@ from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import DT_S
 
 TRAIL_POSES = 256  # poses of the way here that are kept
+# Shares of the speed, and turn rates, rad/s, of a robot that cannot go back as it came; the first is straight back.
+OTHER_MOTIONS = (
+    (-0.5, 0.0),
+    *((v, turn) for v in (-0.5, 0.5) for turn in (-1.0, -0.5, 0.5, 1.0)),
+    (0.5, 0.0),
+    (0, 1),
+    (0, -1),
+)
 
 
 def initial_manoeuvre(pose: Array) -> Manoeuvre:
@@ -72,8 +80,10 @@ def avoid_obstacles(
 
     starts, enough = _backs(now, around, robot, in_place, wanted, omega, touched)
     goes = (now.backing | starts) & (now.kept > 1)
-    still = jnp.float32(0), jnp.float32(0), now.length
-    back_v, back_omega, length = run_if(goes, lambda _: _back(now, around, robot, pose, speed), still)
+    still = jnp.float32(0), jnp.float32(0), now.length, jnp.bool_(False)
+    back_v, back_omega, length, wedged = run_if(goes, lambda _: _back(now, around, robot, pose, speed), still)
+    # Nor does it go back farther where that leads nowhere and the way that it wants is free.
+    enough |= wedged & ~in_place & (now.backed_m >= P.motion.min_back_m)
     backing = goes & ~(now.backing & enough)
     after = now.replace(
         backing=backing,
@@ -115,16 +125,19 @@ def _backs(now, around, robot, in_place, wanted, omega, touched):
 
 
 def _back(now, around, robot, pose, speed):
-    """Return speed and turn rate to the previous pose, or straight back where only that is free: `(v, omega, length)`;
-    poses left."""
+    """Return speed and turn rate to the previous pose: `(v, omega, length, wedged)`; poses left; whether it can go
+    neither there nor straight back. Then it goes by the motion that leads farthest."""
     goal = now.trail[(now.length - 1) % TRAIL_POSES]
     offset = goal[:2] - pose[:2]
     behind = -(offset[0] * jnp.cos(pose[2]) + offset[1] * jnp.sin(pose[2]))
     turn = wrapped(goal[2] - pose[2])
     v, omega = -jnp.clip(behind / DT_S, 0, speed), jnp.clip(turn / DT_S, -1.0, 1.0)
     near = (behind < P.motion.trail_m / 2) & (jnp.abs(turn) < P.motion.trail_rad)
-    motions = jnp.stack([jnp.stack([v, omega]), jnp.stack([-speed / 2, jnp.float32(0)])])
+    others = jnp.asarray(OTHER_MOTIONS) * jnp.stack([speed, jnp.float32(1)])
+    motions = jnp.concatenate([jnp.stack([v, omega])[None], others])
     room_m = jax.vmap(lambda way: _room_m(around, robot, way[0] * P.motion.ahead_s, way[1] * P.motion.ahead_s))(motions)
-    which = jnp.argmax(room_m >= P.motion.outline_slack_m)
-    near |= (which != 0) & (jnp.hypot(offset[0], offset[1]) < P.motion.min_back_m)
-    return *motions[which], jnp.where(near, now.length - 1, now.length)
+    # As planned, or straight back; where neither is free, the motion that leads farthest.
+    free = room_m[:2] >= P.motion.outline_slack_m
+    best = jnp.where(jnp.any(free), jnp.argmax(free), jnp.argmax(room_m))
+    near |= (best != 0) & (jnp.hypot(offset[0], offset[1]) < P.motion.min_back_m)
+    return *motions[best], jnp.where(near, now.length - 1, now.length), ~jnp.any(free)

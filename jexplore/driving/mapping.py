@@ -38,8 +38,9 @@ def begin_map(n_steps: int, n_nodes: int, n_links: int, pose: Array, behind: Arr
     map_, node = btm.add_node(btm.empty(n_nodes, n_links), btm.TERMINAL, pose[0], pose[1])
     map_, link = btm.add_link(map_, node, pose[2])
     map_, _ = btm.add_link(map_, node, pose[2] + math.pi, when=behind)
+    none = jnp.zeros(n_links, jnp.int32)
     own = {"left_bearing": jnp.float32(1) * pose[2], "origin": jnp.zeros(3).at[:2].set(pose[:2])}
-    return Writer(map=map_, way=no_way(n_steps), link=link, tries=jnp.zeros(n_links, jnp.int32), **own)
+    return Writer(map=map_, way=no_way(n_steps), link=link, tries=none, fails=none, **own)
 
 
 def slope_under(pitch: Array, roll: Array, heading: Array) -> Array:
@@ -162,6 +163,20 @@ def came_from(writer: Writer, centre: Array, radius: Array) -> Array:
     outside = jnp.hypot(*(writer.way.pose[:, :2] - centre).T) >= radius
     last = jnp.max(jnp.where(outside & _since_node(writer), jnp.arange(outside.shape[0]), -1))
     return jnp.where(last >= 0, writer.way.pose[last, :2], writer.entry)
+
+
+def came_through(writer: Writer, middles: Array, across: Array, width_m: Array) -> Array:
+    """Return the last step since the last node at which the robot was beyond an opening: `[K]` int32, -1 for none."""
+    offset = writer.way.pose[:, :2] - middles[:, None]  # [K, T, 2]
+    cos, sin = jnp.cos(across)[:, None], jnp.sin(across)[:, None]
+    out_m, aside_m = offset[..., 0] * cos + offset[..., 1] * sin, offset[..., 1] * cos - offset[..., 0] * sin
+    there = (
+        (out_m > -P.graph.beyond_opening_m[0])
+        & (out_m < P.graph.beyond_opening_m[1])
+        & (jnp.abs(aside_m) < width_m[:, None] / 2)
+    )
+    there &= _since_node(writer)
+    return jnp.max(jnp.where(there, jnp.arange(there.shape[1]), -1), axis=1)
 
 
 def end_broken_off(writer: Writer, pose: Array, odometer_m: Array, steps: Array, when: Array) -> tuple[Btm, Array]:

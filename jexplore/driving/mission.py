@@ -102,6 +102,7 @@ def initial_state(setup: Setup, building: Building, robot: Robot, start: Array) 
         key=matching.no_key(start),
         manoeuvre=manoeuvre.initial_manoeuvre(start),
         writer=mapping.begin_map(setup.room, setup.n_nodes, setup.n_links, start, _is_open(building)),
+        stray_from=start[:2],
         node_at=jnp.full((setup.n_nodes, 2), jnp.nan).at[0].set(start[:2]),
         met=jnp.zeros(building.marks.shape[0], bool),
         truth=jnp.zeros((setup.room, 3)),
@@ -123,7 +124,7 @@ def make_step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, no
     ways_m = surround.free_lengths(state.around, robot)
     state = state.replace(writer=mapping.record_step(state, senses, walls.beside.sum(), robot))
     state, ahead = look_ahead(state, walls, tuning, robot)
-    state, arrives = approach.select_branch(state, ahead, tuning, robot)
+    state, arrives = approach.select_branch(state, ahead, ways_m, tuning, robot)
     at_goal = senses.beacon_m < P.graph.goal_m
     event = due_node(state, ahead, at_goal, _is_open(building), arrives)
     state = nodes.make_due_node(state, event, tuning, robot)

@@ -14,12 +14,12 @@ from jexplore.driving.sensing import obstacles
 from jexplore.driving.sensing.openings import find_openings
 from jexplore.driving.sensing.surround import known_points
 from jexplore.driving.settings import Robot, Tuning
-from jexplore.driving.vehicle import to_odometry, towards
+from jexplore.driving.vehicle import rotate_by, to_odometry, towards
 
 MAX_OPENINGS = 8  # of a divergence
 
 
-def _arrive(writer, event, posture_deg, tuning):
+def _arrive(writer, event, found, back, posture_deg, tuning):
     """Return the node that is due: one that is known, or a new one."""
     is_obstacle, is_divergence = event.kind == btm.OBSTACLE, event.kind == btm.DIVERGENCE
     is_terminal = (event.kind == btm.TERMINAL) & ~event.returns
@@ -29,7 +29,15 @@ def _arrive(writer, event, posture_deg, tuning):
     reach = jnp.where(is_divergence, jnp.maximum(0.5, smaller), P.graph.same_node_m)
     may_be_last = is_divergence & mapping.has_left(writer, event.odometer_m, tuning.leave_m)
     again = (distance < reach) & ((near != writer.node) | may_be_last) & ~is_terminal
-    near, again = jnp.where(event.returns, 0, near), again | event.returns
+    alike, is_alike = links.match_node(
+        writer, (event.centre, event.odometer_m), found, back, reach, is_divergence & ~again
+    )
+    is_led, to, place = links.led_to(writer)
+    led_m = P.graph.led_node_m + P.graph.drift_share * (event.odometer_m - writer.node_m)
+    is_led &= (jnp.hypot(*(place - event.centre)) < led_m) & (writer.map.kind[to] == event.kind)
+    is_led &= ~is_divergence & ~is_terminal
+    near = jnp.where(event.returns, 0, jnp.where(is_alike, alike, jnp.where(is_led, to, near)))
+    again = again | is_alike | is_led | event.returns
     added, new = btm.add_node(
         writer.map,
         event.kind,
@@ -43,15 +51,15 @@ def _arrive(writer, event, posture_deg, tuning):
     )
     map_, node = pick(again, writer.map, added), jnp.where(again, near, new)
     fits = again | (writer.map.n_nodes < map_.kind.shape[0])
-    met = again & is_divergence & (distance < P.graph.shift_m)
-    off = jnp.stack([map_.x_m[near], map_.y_m[near]]) - event.centre
-    shift = jnp.where(met, P.graph.shift_share * off, 0.0)
+    met = again & is_divergence & ((distance < P.graph.shift_m) | is_alike)
+    share = jnp.where(is_alike, 1.0, P.graph.shift_share)
+    shift = jnp.where(met, share * (jnp.stack([map_.x_m[near], map_.y_m[near]]) - event.centre), 0.0)
     return Arrival(map_, node, again, met, fits, shift)
 
 
 def _find_openings(writer, event, points, tuning):
-    """Find the openings of a divergence and the way in, the nearest to the robot's way. A robot that started inside has
-    no way in. Returns `(found, others, back)`: `Openings`; `[K]` bool, all but the way in; its
+    """Find the openings of a divergence and the way in: the last one used, else the nearest to the robot's way. A robot
+    that started inside has no way in. Returns `(found, others, back)`: `Openings`; `[K]` bool, all but the way in; its
     bearing, radians."""
     is_divergence, centre = event.kind == btm.DIVERGENCE, event.centre
     inward = mapping.came_from(writer, centre, event.radius) - centre
@@ -62,9 +70,11 @@ def _find_openings(writer, event, points, tuning):
         points[0], points[1], *circle, circle=tuning.circle, size=MAX_OPENINGS, seen_from=event.pose[:2]
     )
     off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - came)), jnp.inf)
-    entry = jnp.argmin(off)
+    passed = mapping.came_through(writer, centre + found.middle, found.bearing, found.width_m)
+    passed = jnp.where(found.valid, passed, -1)
+    entry = jnp.where(jnp.any(passed >= 0), jnp.argmax(passed), jnp.argmin(off))
     from_start = (writer.node == 0) & _holds_start(writer.map, event)
-    entry_seen = (off[entry] < math.pi / 3) & ~from_start
+    entry_seen = ((passed[entry] >= 0) | (off[entry] < math.pi / 3)) & ~from_start
     back = jnp.where(is_divergence & entry_seen, found.bearing[entry], came)
     return found, found.valid & ~((jnp.arange(MAX_OPENINGS) == entry) & entry_seen), back
 
@@ -103,50 +113,55 @@ def write_node(
       points: around the robot: `[P, 2]` float32, odometry; `[P]` bool, valid.
 
     Returns:
-      `(writer, latch, target, out, shift)`: `Latch` and target point of branch selection, direction of the link there,
-        radians; `[2]`, correction of the odometry at a node met again, metres.
+      `(writer, latch, target, out, correction)`: `Latch` and target point of branch selection, direction of the link
+        there, radians; `[3]`, correction of the odometry at a node met again: metres, and radians about the node.
     """
     is_divergence, is_terminal = event.kind == btm.DIVERGENCE, (event.kind == btm.TERMINAL) & ~event.returns
     size, measures = writer.map.start.shape[0], mapping.link_measures(writer, event.odometer_m)
-    found, others, back = _find_openings(writer, event, points, tuning)
-    at = _arrive(writer, event, measures["link_posture_deg"], tuning)
+    measured, others, back = _find_openings(writer, event, points, tuning)
+    at = _arrive(writer, event, measured, back, measures["link_posture_deg"], tuning)
     map_, step_m = obstacles.classify_obstacle(
         at.map, writer, event, tuning, robot, measures["link_posture_deg"], at.node
     )
-    passes, which = _is_rejected(writer, event, found, back, others, at, points, tuning)
-    turned = jnp.where(is_divergence, links.turn_to(at.map, at.node, found), jnp.nan)
-    turned = jnp.where(at.again, turned, 0.0)  # of the node's own frame
-    measures |= {"max_step_m": step_m} | mapping.moved_from_node(writer, event.centre, turned)
+    passes, which = _is_rejected(writer, event, measured, back, others, at, points, tuning)
+    turned = links.turn_to(at.map, at.node, measured)
+    turn = jnp.where(at.met, turned, 0.0)
+    applied = P.graph.turn_share * turn
+    frame = jnp.where(at.again, jnp.where(is_divergence, turned, jnp.nan), 0.0)  # turn of the node's own frame
+    # From here on bearings are those of the map, not of the odometry.
+    back, heading = back + turn, event.pose[2] + turn
+    found = measured.replace(bearing=measured.bearing + turn, middle=rotate_by(turn)(measured.middle))
+    measures |= {"max_step_m": step_m} | mapping.moved_from_node(writer, event.centre, frame)
     map_, link = _end_way_here(map_, writer, at, back, measures)
     map_ = _add_openings(map_, event, at, found, others, is_divergence)
     goes_on = ~is_divergence & ~is_terminal & ~at.again
-    map_, new = btm.add_link(map_, at.node, event.pose[2], when=goes_on, blocked=event.blocked)
-    map_, onto, bearing = links.choose_link(writer, map_, at.node, back)
+    map_, new = btm.add_link(map_, at.node, heading, when=goes_on, blocked=event.blocked)
+    after, map_, onto, bearing = links.choose_link(writer, map_, at.node, back)
     through = ~is_divergence & ~event.blocked & ~event.returns
     onto = jnp.where(through, jnp.where(goes_on, new, links.other_link(map_, at.node, link)), onto)
     plain = tuning.leave_m * towards(bearing), bearing
     way, out = pick(is_divergence, _beyond_opening(event, found, bearing, tuning.leave_m), plain)
-    beyond = _beyond_opening(event, found, found.bearing[which], tuning.leave_m)
-    target, out = pick(passes, beyond, (way, out))
+    beyond = _beyond_opening(event, measured, measured.bearing[which], tuning.leave_m)
+    target, out = pick(passes, beyond, (rotate_by(applied - turn)(way), out + applied - turn))
     taken = jnp.where(onto == btm.NONE, size, onto)
     crossed = is_divergence | ((event.kind == btm.FREE_SPACE) & (event.odometer_m >= writer.border_m))
-    written = writer.replace(
+    written = after.replace(
         map=map_,
         node=at.node,
         node_m=event.odometer_m,
         link=taken,
-        left_bearing=jnp.where(through, event.pose[2], bearing),
+        left_bearing=jnp.where(through, heading, bearing),
         border_m=jnp.where(crossed, jnp.inf, writer.border_m),
-        tries=writer.tries.at[taken].add(1, mode="drop"),
+        tries=after.tries.at[taken].add(1, mode="drop"),
         exhausted=~is_terminal & (taken == size),
-        origin=jnp.stack([*(event.centre + at.shift), jnp.nan_to_num(turned)]),
+        origin=jnp.stack([*(event.centre + at.shift), jnp.nan_to_num(frame) - applied]),
     )
     full = writer.replace(map=writer.map.replace(overflow=writer.map.overflow + 1), full=jnp.bool_(True))
     unchanged = writer.replace(passed=jnp.stack([*event.centre, event.radius, event.odometer_m]))
-    shift = jnp.where(passes, 0.0, at.shift)
+    correction = jnp.where(passes, 0.0, jnp.stack([*at.shift, applied]))
     latch = jnp.where((~through & (taken < size)) | passes, Latch.LEAVE, Latch.FREE).astype(jnp.int32)
     after = pick(passes, unchanged, pick(at.fits, written, full))
-    return after, latch, event.centre + shift + target, out, shift
+    return after, latch, event.centre + correction[:2] + target, out, correction
 
 
 def make_due_node(state: State, event: DueNode, tuning: Tuning, robot: Robot) -> State:
@@ -156,12 +171,14 @@ def make_due_node(state: State, event: DueNode, tuning: Tuning, robot: Robot) ->
     def written(carry):
         writer, drive, track, estimate = carry
         xy, known = known_points(state.around)
-        whole, latch, target, out, shift = write_node(
+        whole, latch, target, out, correction = write_node(
             writer.replace(way=way), event, (placed(xy), known), tuning, robot
         )
+        about = to_odometry(jnp.append(event.centre, correction[2]))
+        estimate = jnp.append(about(estimate[:2] - event.centre), estimate[2]) + correction
         latches = (event.kind == btm.DIVERGENCE) | event.blocked | event.returns
         latched = drive.replace(latch=latch, target=target, since=jnp.int32(0), out=out), Track()
-        return whole.replace(way=None), *pick(latches, latched, (drive, track)), estimate.at[:2].add(shift)
+        return whole.replace(way=None), *pick(latches, latched, (drive, track)), estimate
 
     before = state.writer.replace(way=None), state.drive, state.track, state.estimate  # the way stays as it is
     writer, drive, track, estimate = run_if(event.kind != btm.NONE, written, before)
@@ -193,7 +210,7 @@ def _is_rejected(writer, event, found, back, others, at, points, tuning):
     """
     n, other = jnp.sum(found.valid), jnp.argmax(others)
     straight = jnp.abs(btm.wrapped(found.bearing[other] - back)) > math.pi - P.places.in_line_rad
-    followed, to = links.leads_to(writer)
+    followed, to, _ = links.led_to(writer)
     in_line = (jnp.sum(others) == 1) & straight & ~(at.again & followed & (at.node == to))
     free_m = links.reach_m(points, event.centre, back, event.radius)
     in_line &= (n == 2) | ((n == 1) & (free_m > tuning.circle * event.radius))

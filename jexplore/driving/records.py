@@ -179,6 +179,7 @@ class Drive(struct.PyTreeNode):
     since: Array = _of(0)  # int32, steps of the latch
     out: Array = _of(0.0)  # float32, radians, direction of the link that is taken
     looked: Array = _of(0.0)  # float32, radians turned while looking round
+    looked_m: Array = _of(-math.inf)  # float32, odometer when the robot last did
     turning: Array = _of(0)  # int32, side to which a dead end turns the robot: 1 left, -1 right, 0 none
     left_m: Array = _of(1.0)  # float32, last distance of a left wall within C1, or where it can turn next to one
     right_m: Array = _of(1.0)  # float32, as `left_m`, on the right
@@ -219,7 +220,8 @@ class Writer(struct.PyTreeNode):
     link: Array  # int32, on which it is; M for none
     left_bearing: Array  # float32, radians, in which it left the last node
     origin: Array  # [3] float32, the last node: x, y, metres; turn of its frame, radians
-    tries: Array  # [M] int32, how often the robot has set off on a link
+    tries: Array  # [M] int32, how often the robot has set off on a link that was un-searched, or may do so no more
+    fails: Array  # [M] int32, how often in a row a searched link has led elsewhere
     node: Array = _of(0)  # int32, where it was last
     node_m: Array = _of(0.0)  # float32, odometer there
     entry: Array = _of(0.0, 2)  # [2] float32, where it began to approach a divergence
@@ -228,6 +230,7 @@ class Writer(struct.PyTreeNode):
     border_m: Array = _of(math.inf)  # float32, odometer at which a free space will have been entered or left; inf: none
     passed: Array = struct.field(default_factory=lambda: jnp.array([0.0, 0.0, 0.0, -jnp.inf]))
     """[4] float32, the candidate last rejected: x, y, radius, metres; odometer there"""
+    last_chance: Array = _of(-1)  # int32, searched links when those given up last got another chance; -1: never
     exhausted: Array = _of(False)  # bool, nothing is left to follow
     full: Array = _of(False)  # bool, a node did not fit
 
@@ -294,6 +297,7 @@ class State(struct.PyTreeNode):
     key: KeyScan
     manoeuvre: Manoeuvre
     writer: Writer
+    stray_from: Array  # [2] float32, where it has been near for long
     node_at: Array  # [N, 2] float32, where the robot truly was when it made a node
     met: Array  # [K] bool, which of the building's marks it has been at
     truth: Array  # [T, 3] float32, true poses
@@ -311,6 +315,7 @@ class State(struct.PyTreeNode):
     blind: Array = _of(0)  # int32, scans in a row without numbers
     moved_m: Array = _of(0.0)  # float32, odometer when it last got on
     moved_step: Array = _of(0)  # int32, and the step
+    stray_step: Array = _of(0)  # int32, since which step
     helps: Array = _of(0)  # int32
     since_node: Array = _of(0)  # int32, of them, since the last node
     mistaken: Array = _of(0)  # int32, times that it took a place for a node that truly lies elsewhere

@@ -77,8 +77,8 @@ class Tuning(Settings):
     """A gap narrower than this reference width [W], in metres, is no opening, and no side of a triangle. The default is
     that of the narrowest robot, so that every robot makes the same map."""
     far_m: float = limit(0.0, high=1000)
-    """Points farther away than this [D2], in metres, are left out of the triangles. 0: 4 on courses, 8 in other
-    worlds."""
+    """Points farther away than this [D2], in metres, are left out of the triangles; less where the beams are too far
+    apart on the walls. 0: 4 on courses, 8 in other worlds."""
     ahead_m: float = limit(1.0, low_open=True, high=1000)
     """The target point and the middle of the region that is watched lie this far ahead [L], in metres."""
     region_m: float = limit(2.4, low_open=True, high=1000)

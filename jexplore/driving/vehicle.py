@@ -3,6 +3,7 @@
 A unicycle on two rigid tracks, with a scanner that looks ahead, one that looks down, an attitude sensor and encoders.
 """
 
+import math
 from collections.abc import Callable
 
 import jax
@@ -22,6 +23,7 @@ DT_S = 0.1
 SCAN_RANGE_M = 8.0
 BEAMS = 181
 ANGLES_RAD = np.radians(np.linspace(-90, 90, BEAMS)).astype(np.float32)
+BEAM_SPACING_RAD = math.pi / (BEAMS - 1)
 DOWN_BEAMS = 13
 DOWN_RAD = np.radians(np.linspace(-18, 18, DOWN_BEAMS)).astype(np.float32)
 BEACON_M = 1.0  # the goal's beacon is heard within this, where no wall lies between

@@ -63,6 +63,7 @@ class Places(Settings):
     graze_rad: float = math.radians(4)  # a narrower gap, with beams a degree apart, is a wall seen at a grazing angle
     ahead_radii: float = 0.6  # radii from the centre from which on they are
     alike_m: float = 0.02  # m; longer connections of the walls on both sides of a gap weigh less by this scale
+    same_exit_rad: float = math.radians(40)  # two openings, or a link and one, that bear no farther apart are one
     in_line_rad: float = math.radians(45)  # two openings are in line if they are no farther from it
 
 
@@ -72,14 +73,20 @@ class Graph(Settings):
 
     # a node met again truly lies elsewhere if that is farther than this beyond its circle, metres
     elsewhere_m: float = 2.0
+    # a robot beyond an opening is no farther before it and behind it
+    beyond_opening_m: tuple[float, float] = (0.05, 1.0)
+    # share of the way, and metres at most: how far off a known place may seem
+    match_drift: tuple[float, float] = (0.025, 2.5)
+    drift_share: float = 0.05  # of the way: how far off its other node may seem
     # the way in, or an opening of a known place, that bears no farther from a known link is that link
     same_end_rad: float = math.radians(25)
-    turn_rad: float = math.radians(20)  # a node met again seems turned by no more
+    turn_rad: float = math.radians(20)  # the odometry's heading is corrected by no more, where a node is met again
     # the odometry's place is corrected by half at a node met again no farther than this away, metres
     shift_m: float = 0.7
     same_node_m: float = 1.0  # free space and obstacles nearer than this to one that is known are that one
-    shift_share: float = 0.5  # applied share of the correction of the place
-    tries: int = 2  # times that the robot sets off on a link before it gives it up
+    led_node_m: float = 1.5  # and so near to where a known link leads to one
+    turn_share: float = 0.2  # applied share of the correction of the heading: scan matching is more certain
+    shift_share: float = 0.5  # and of the place
     search_every_steps: int = 3  # steps between two looks for triangles
     goal_m: float = 0.5  # a run ends where it hears its goal's beacon within this
     blind_steps: int = 20  # scans in a row, most of whose beams give no number, that end a run
@@ -102,10 +109,14 @@ class Motion(Settings):
     # rad; the robot looks round by turning this far: the scanner covers half of the surroundings
     look_rad: float = math.pi - 0.05
     look_step_rad: float = 0.2  # rad; it stops looking where it cannot turn this much further
+    # m; way between two looks round where the way is shut
+    survey_m: float = 1.0
     same_place_radii: float = 0.4  # of its radius: a place nearer than this is the intended one
     taken_rad: float = math.radians(60)  # a link has been taken when the robot's heading is so near to its direction
     stuck_steps: int = 150  # steps without going on or finding a node after which the operator helps
     stuck_m: float = 0.3  # way that counts as going on
+    stray_steps: int = 600  # the operator also helps after these steps near to one place
+    stray_m: float = 3.0  # within this
 
 
 @checked_names

@@ -122,6 +122,16 @@ def _tread_wave(cells, residual_m, n):
     return power.max(), TREADS_M[0] + (at + jnp.clip(off, -1, 1)) * (TREADS_M[1] - TREADS_M[0])
 
 
+def steepest_rise(x_m: Array, z_m: Array, valid: Array) -> Array:
+    """Return the largest rise between neighbouring points of a profile beyond a slope of 45 degrees: float32, metres.
+
+    Steps are that steep, slopes are not. Arguments as for `profile`, in the order of time.
+    """
+    both = valid[1:] & valid[:-1]
+    x, z = jnp.where(valid, x_m, 0), jnp.where(valid, z_m, 0)
+    return jnp.max(jnp.where(both, jnp.diff(z) - jnp.abs(jnp.diff(x)), 0))
+
+
 def _rises(count, total):
     """Return the difference of mean heights of both flanks of every cell: `[CELLS]`, metres. Arguments: points in each
     cell, and the sum of their heights."""

@@ -11,10 +11,9 @@ from jexplore.arrays.delaunay import circumcircles, delaunay
 from jexplore.arrays.loops import stored
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import Divergence
-from jexplore.driving.settings import Tuning
 
-SCAN_POINTS = 64  # that are made into triangles
 SMOOTHED_BEAMS = 6  # beams on either side that a point is smoothed with
+BRIDGED_BEAMS = 3  # beams without a reading that are bridged
 CLEARANCE_BEAMS = 3  # beams on either side that the width of a passage is the mean of
 ROOMY_BACK_RADII = 0.0, 0.2, 0.4, 0.6  # radii by which that may begin nearer
 
@@ -27,8 +26,17 @@ def beam_points(ranges_m: Array, angles_rad: ArrayLike) -> tuple[Array, Array]:
       angles_rad: `[B]` float32.
 
     Returns:
-      `(xy, valid)`: `[B, 2]` float32, 0 where invalid; `[B]` bool.
+      `(xy, valid)`: `[B, 2]` float32, 0 where invalid; `[B]` bool. Up to `BRIDGED_BEAMS` beams without a reading
+        between two that nearly agree are given the mean of these.
     """
+    before = after = ranges_m
+    missed = -jnp.ones_like(ranges_m)
+    for k in range(1, BRIDGED_BEAMS + 1):
+        missed = missed + jnp.isnan(before) + jnp.isnan(after)
+        before = jnp.where(jnp.isnan(before), jnp.pad(ranges_m, (k, 0), constant_values=jnp.nan)[:-k], before)
+        after = jnp.where(jnp.isnan(after), jnp.pad(ranges_m, (0, k), constant_values=jnp.nan)[k:], after)
+    bridged = jnp.isnan(ranges_m) & (missed <= BRIDGED_BEAMS)
+    ranges_m = jnp.where(bridged, (before + after) / 2, ranges_m)
     valid = jnp.isfinite(ranges_m)
     r = jnp.where(valid, ranges_m, 0)
     return jnp.stack([r * jnp.cos(angles_rad), r * jnp.sin(angles_rad)], axis=1), valid
@@ -166,14 +174,35 @@ def resample_walls(
     return jnp.concatenate([ticks, ended]), there, spacing, overflow
 
 
-def find_divergences(xy: Array, valid: Array, tuning: Tuning) -> Divergence:
+def far_bound(
+    far_m: Array | float, width_m: Array | float, beam_spacing_rad: Array | float, wall_m: Array | float
+) -> Array:
+    """Compute the distance up to which neighbouring beams on a wall lie closer than the least opening: metres."""
+    return jnp.minimum(far_m, 0.95 * jnp.sqrt(width_m * jnp.minimum(wall_m, far_m) / beam_spacing_rad))
+
+
+def find_divergences(
+    xy: Array,
+    valid: Array,
+    *,
+    far_m: Array | float,
+    width_m: Array | float,
+    obtuse_tol_deg: Array | float,
+    open_m: Array | float,
+    size: int,
+) -> Divergence:
     """Find triangles that touch three walls: between them the way divides, bends or ends.
+
+    Args:
+      obtuse_tol_deg: no angle is more than this above 90 degrees.
+      open_m: circles as large as this lie in free space and are left out [C1], metres.
+      size: most scan points. Static.
 
     Source:
       Mano et al., section III.A.1; Silver et al. 2004. Changed: the tolerance (a dead end's triangle has a right angle,
       so that half of all scans would lose it), and circles in free space are left out.
     """
-    far_m, width_m, open_m, size = tuning.far_m, tuning.width_m, tuning.open_m, SCAN_POINTS
+    # Beams far aside meet a wall next to a tilted robot too far apart, however near ahead.
     valid &= jnp.sum(xy**2, axis=1) < far_m**2
     xy = smooth_points(xy, valid, width_m / 4)
     chosen, there, spacing, overflow = resample_walls(
@@ -187,7 +216,7 @@ def find_divergences(xy: Array, valid: Array, tuning: Tuning) -> Divergence:
     # Two points with one between them on a wall make no side: noise may push that one out of the circle.
     side = jnp.maximum(width_m, spacing / P.places.spacing_widths)
     keep = triangles.valid & (jnp.min(side2, axis=1) > side**2) & (radius < open_m)
-    keep &= cosine >= -jnp.sin(jnp.radians(tuning.obtuse_tol_deg))
+    keep &= cosine >= -jnp.sin(jnp.radians(obtuse_tol_deg))
     keep &= ~_on_one_wall(chosen, there, centre, triangles.corner, P.places.recess_widths * width_m)
     corners = chosen[jnp.minimum(triangles.corner, size - 1)]
     return Divergence(corners=corners, centre=centre, radius=radius, valid=keep, overflow=overflow + triangles.overflow)

@@ -18,7 +18,6 @@ from jexplore.driving.mission import MissionTask, RunOutcome, Setup
 from jexplore.driving.params.tree import using
 from jexplore.driving.records import RunMode, State
 from jexplore.driving.sensing import surround
-from jexplore.driving.sensing.perception import find_divergences
 from jexplore.engine.devices import pinned_draws, random_key
 from jexplore.engine.program import Given
 from jexplore.report.operator_view import RunRecording
@@ -124,7 +123,7 @@ def _view(given, state, after):
         draws = vehicle.draw_one(jax.random.fold_in(given.key, state.step), noise)
         senses = vehicle.read_sensors(draws, building, robot, noise, state.body)
         walls = events.walls_of_scan(mission.smooth_senses(senses, robot)[0].ranges_m, tuning, robot)
-        found = find_divergences(*surround.known_points(after.around), tuning)
+        found = events.triangles(*surround.known_points(after.around), walls.beside.min(), tuning)
         best = jnp.argsort(jnp.where(found.valid, jnp.hypot(*found.centre.T), jnp.inf))[:TRIANGLES]
         there = found.valid[best]
         return {

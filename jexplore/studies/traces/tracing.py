@@ -13,9 +13,8 @@ import pandas as pd
 from jexplore import btm
 from jexplore.config import __version__, checked_names, require_engine
 from jexplore.driving import vehicle
-from jexplore.driving.batch import Driven
+from jexplore.driving.batch import Driven, outcome_names
 from jexplore.driving.local.batch import require_cpu
-from jexplore.driving.mission import RunOutcome
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.engine.runner import Costs
 from jexplore.report import store
@@ -200,7 +199,7 @@ def trace_table(
             "setting": setting,
             "run": which,
             **chosen,
-            "outcome": [RunOutcome(int(value)).name for value in result.outcome],
+            "outcome": outcome_names(result),
             "steps": result.steps,
             "time_s": result.steps * vehicle.DT_S,
             **{name: getattr(result, name) for name in ("path_m", "contacts", "refused", "interventions")},
