@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ref import clock as oracle
-from ref import episodes
+from ref import episodes, maps
 from ref.refusals import refused
 from ref.results import result
 
@@ -17,6 +17,7 @@ from jexplore.exploration.motion import MOST_MS, PLAN, RUN, SCAN, TURN, clock_ta
 from jexplore.rules import Lidar, Robot, Rules
 
 # A metre a second after one metre, and a quarter turn a second after half of one.
+CROSS = Lidar(n_beams=4, fov_deg=360, range_m=2.0)  # ahead, back, left, right, 2 cells far
 PLAIN = Robot(speed_m_s=1.0, acceleration_m_s2=0.5, turn_rad_s=math.pi / 2, turn_acceleration_rad_s2=math.pi / 2)
 SLOW = PLAIN.replace(scan_s=0.5, plan_s=2.0, standby_w=10, drive_j_m=3, turn_j_rad=2, mass_kg=8)
 
@@ -128,3 +129,30 @@ def test_energy_and_areas_by_hand():
 )  # fmt: skip
 def test_wrong_robots_are_refused_in_one_line(wrong):
     refused(next(iter(wrong)), Robot, **wrong)
+
+
+BEND = maps.walls("""
+    #####
+    #...#
+    #.#.#
+    #.#.#
+    #####
+""")
+
+
+def played(occupied, start, robot, rules):
+    how = {"cell_m": 1.0, "robot": robot}
+    found, state = episodes.play(occupied, start, "closest", CROSS, rules, **how, shape=(5, 7))  # one program
+    want = episodes.replay(occupied, start, "closest", CROSS, rules, cell_m=1.0)
+    episodes.assert_equal_episodes(found, state, want, **how)
+    return found, want
+
+
+STRAIGHT_ON = Rules(clearance_m=0.0, near_m=1.0, look_around=False)
+
+
+@pytest.mark.jit
+def test_a_bend_by_hand():
+    """Three runs of 2 m, and two quarter turns in place between."""
+    found, _ = played(BEND, (1, 1, 90), PLAIN, STRAIGHT_ON)
+    assert (int(found.turns), int(found.time_ms), int(found.starts)) == (4, 3 * 4000 + 2 * 2000, 3000)

@@ -59,6 +59,7 @@ def test_the_written_out_episode_is_that_of_explore(name, cell_m, episode, exhau
         np.testing.assert_array_equal(robot.grid.hits, found.final.hits)
         np.testing.assert_array_equal(robot.grid.misses, found.final.misses)
     assert len(robot.path) > 50
+    assert len((EXAMPLES / "episode.py").read_text(encoding="utf-8").splitlines()) <= 150
     assert robot.exhausted.sum() == runs[0].measures["exhausted"] == exhausted
 
 

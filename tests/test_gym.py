@@ -286,3 +286,30 @@ def test_without_the_package_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "gymnasium", None)
     with pytest.raises(ImportError, match=r"need gymnasium 1.1 or later: pip install 'jexplore\[gym\]'"):
         importlib.import_module("jexplore.studies.gym.envs")
+
+
+@pytest.mark.slow
+def test_closest_in_lanes_is_closest_to_the_bit(envs, compared):
+    table, starts = compared
+    seen, info = envs.reset(seed=[2] * 4, options={"start": starts, "world": [0] * 4, "episode": range(4)})
+    ended = np.zeros(4, int)
+    for step in range(1, 60):
+        seen, _, terminated, truncated, info = envs.step(nearest(seen))
+        for i in np.flatnonzero(terminated & (ended == 0)):
+            ended[i] = step
+            assert info["path_m"][i] == pytest.approx(table["path_m"].iloc[i], abs=1e-12)
+            assert jx.Outcome(info["outcome"][i]).name == table["outcome"].iloc[i]
+        assert not truncated.any()
+    assert (ended + 1).tolist() == table["plans"].tolist()
+
+
+@pytest.mark.slow
+def test_any_cell_that_can_be_reached():
+    one = GymEnv(two_rooms(), lidar=LIDAR, targets="reachable")
+    seen, info = one.reset(seed=1)
+    np.testing.assert_array_equal(info["action_mask"], (seen["path_m"] >= 0).ravel())
+    far = int(np.argmax(np.where(seen["frontier"] > 0, -1, seen["path_m"])))
+    after, reward, _, _, info = one.step(far)
+    assert info["valid"]
+    assert reward == pytest.approx(-seen["path_m"].ravel()[far])
+    assert divmod(far, 64) == tuple(after["robot"][:2])

@@ -14,6 +14,7 @@ from jexplore.policies import parse_strategy
 from jexplore.report.plots.compare import league_figure
 from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds, standings, standings_table
 from jexplore.studies.statistics.over_worlds import kind_of, mean_over_worlds
+from jexplore.studies.statistics.paired import holm
 from jexplore.worlds import load_world
 
 
@@ -144,3 +145,9 @@ def test_the_league_has_eight_worlds_of_six_kinds_and_strategies_that_parse():
         ("cave", "office", "hospital", "maze", "rooms", "furnished"), 8
     )
     assert len({parse_strategy(name).name for name in LEAGUE_STRATEGIES}) == len(LEAGUE_STRATEGIES)
+
+
+def test_holm_by_hand():
+    np.testing.assert_allclose(holm([0.01, 0.04, 0.03, math.nan]), [0.03, 0.06, 0.06, math.nan])
+    np.testing.assert_allclose(holm([0.5, 0.6]), [1.0, 1.0])
+    assert np.isnan(holm([math.nan])).all()

@@ -25,7 +25,7 @@ from jexplore.tracemap.merging.limits import Limits
 from jexplore.tracemap.merging.match import Merging, match_maps, with_neighbours
 from jexplore.tracemap.merging.merge import merge_maps
 from jexplore.tracemap.merging.pair import Pair, places_of
-from jexplore.tracemap.merging.rigid import Move, fit, moved_map
+from jexplore.tracemap.merging.rigid import Move, fit, mirrored, moved_map
 from jexplore.tracemap.record import BtmMap, Link, Node, check_map
 from jexplore.tracemap.similarity import code
 from jexplore.worlds import load_world
@@ -733,3 +733,28 @@ def test_the_command_refuses(files, capsys, refuses):
         (["a.json", "b.json", "--out", "."], "must be a file, and is a folder"),
     ):
         refuses(["merge-maps", *words], said)
+
+
+def passage():
+    """A passage north over a slope; at its ends a T and a corner, whose further ways lead west to what differs."""
+    return BtmMap(
+        (node(0, "D", 0, 0), node(1, "F", 0, 7), node(2, "O", 0, 12, obstacle="slope"), node(3, "D", 0, 18),
+         node(4, "F", -9, 18), node(5, "O", -15, 18, obstacle="stairs"), node(6, "F", -4, 0),
+         node(7, "O", 0, 14.5, obstacle="slope"), node(8, "F", 0, 21)),
+        (way(0, 0, 1, 90, length_m=7.0), way(1, 1, 2, 90, length_m=5.0), way(2, 2, 7, 90, length_m=2.5),
+         way(3, 3, 4, 180, length_m=9.0), way(4, 4, 5, 180, length_m=6.0), way(5, 0, 6, 180, length_m=4.0),
+         way(6, 7, 3, 90, length_m=3.5), way(7, 3, 8, 90, length_m=3.0), stub(8, 1, 0), stub(9, 1, 180)),
+    )  # fmt: skip
+
+
+def test_a_building_in_a_mirror_is_another_one():
+    # Parts look the same in a mirror, once turned; beyond them ways leave otherwise.
+    other = moved_map(mirrored(passage()), QUARTER)
+    found = match_maps(passage(), other)
+    assert found.outcome is Merging.AMBIGUOUS
+    assert (len(found.contradictions), found.margin) == (2, 0.0)
+    assert merged_of(passage(), other).left == ("b",)
+    assert match_maps(passage(), moved_map(passage(), QUARTER)).outcome is Merging.MERGED
+    end = passage()  # without what leads west nothing contradicts: these may be one building
+    short = BtmMap((*end.nodes[:4], end.nodes[7]), tuple(end.links[i] for i in (0, 1, 2, 6, 8, 9)))
+    assert match_maps(short, mirrored(short)).outcome is Merging.MERGED

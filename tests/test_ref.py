@@ -50,3 +50,13 @@ def test_room_entries_count_changes_of_room_not_doorways():
     assert simulator.count_room_entries([(0, 2)], rooms) == 0
     halves = np.repeat([[0] * 6 + [1] * 6], 5, axis=0)
     assert simulate(maps.walls(CORRIDOR), 2, 2, rooms=halves).room_entries == 2
+
+
+def test_bounds_end_the_episode():
+    walled = maps.walls(CORRIDOR)
+    short = simulate(walled, 2, 2, max_steps=4)
+    assert (short.outcome, short.steps, short.plans, short.scans) == ("STEP_LIMIT", 4, 2, 6)
+    once = simulate(walled, 2, 2, max_plans=1)
+    assert (once.outcome, once.steps, once.plans) == ("PLAN_LIMIT", 3, 1)
+    assert simulate(walled, 2, 2, max_plans=3, max_steps=6).outcome == "COMPLETE"  # bounds just wide enough
+    assert simulate(walled, 2, 2, max_plans=2).outcome == "PLAN_LIMIT"

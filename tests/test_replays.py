@@ -9,6 +9,7 @@ from ref.worlds import two_rooms
 
 from jexplore.engine.runner import Costs
 from jexplore.exploration import batch
+from jexplore.exploration.replay import Moment
 from jexplore.exploration.results import map_state
 from jexplore.planning import field
 from jexplore.policies.room_wise import own_segment
@@ -17,7 +18,7 @@ from jexplore.rules import Lidar, Rules
 from jexplore.studies import explore, replays
 from jexplore.studies.checks import prepare_jobs
 from jexplore.studies.explore import replay_of
-from jexplore.studies.replays import replays_of
+from jexplore.studies.replays import before_leaving, replays_of
 
 pytestmark = pytest.mark.jit
 
@@ -132,3 +133,12 @@ def test_an_episode_of_more_plans_than_are_kept_is_refused():
     episode = ran("closest")
     lost = dataclasses.replace(episode, final=episode.final._replace(plans=None))
     refused("closest in two rooms: no replay, it made more plans than are kept", replay_of, lost)
+
+
+def test_the_last_moment_at_each_place_is_shown():
+    """Looks round and refused steps are made without a step."""
+    steps = [0, 1, 1, 1, 2, 3, 3]
+    found = [Moment(step, 0, 0, number, None, None) for number, step in enumerate(steps)]
+    assert [moment.heading for moment in before_leaving(iter(found), [0, 1, 2, 3])] == [0, 3, 4, 6]
+    assert [moment.heading for moment in before_leaving(iter(found), [1, 3])] == [3, 6]
+    assert [moment.heading for moment in before_leaving(iter(found[:1]), [0])] == [0]

@@ -25,7 +25,7 @@ from jexplore.engine.backend import cache_folder
 
 FOLDER = Path(__file__).parent
 COMPILERS = ("c++", "g++", "clang++")
-FLAGS = ("-std=c++17", "-O2", "-shared", "-fPIC")
+FLAGS = ("-std=c++17", "-O3", "-shared", "-fPIC")
 BUILD_S = 300  # seconds that building may take
 
 

@@ -105,9 +105,10 @@ struct Crossed {
 // that end well inside the map are not asked one by one whether they lie in it.
 void Follow(const Reals& xy, const Vectors& direction, const Reals& distance, const Bits& hit, const Bits& speaks,
             float reach, int width, int rows, int cols, Crossed& found) {
-  const int most = static_cast<int>(std::min(reach, static_cast<float>(rows + cols))) + 2;  // cells of a beam, per axis
+  // Cells of a beam within the map: on either axis one more than whole ones that it is long, and one at its end.
+  const int most = 2 * (static_cast<int>(std::min(reach, 0.5f * (rows + cols))) + 2);
   const float x = xy.typed_data()[0], y = xy.typed_data()[1];
-  const size_t room = 2 * static_cast<size_t>(most) * (direction.dimensions()[0] + kLanes) + kLanes;
+  const size_t room = static_cast<size_t>(most) * (direction.dimensions()[0] + kLanes) + kLanes;
   if (found.passed.size() < room) found.passed.resize(room);
   found.ends.clear();
   int* passed = found.passed.data();

@@ -19,7 +19,7 @@ from jexplore.driving.local.window import CELL_M, SIDE, Fixed, Window
 from jexplore.driving.mission import RunOutcome
 from jexplore.driving.settings import Tuning
 
-MATCH_M = 1.5  # a place no farther than this from where the map has it is the map's,
+MATCH_M = 1.5  # a place no farther than this from where the map has it is the map's: half of two junctions' distance,
 SAME_RAD = math.radians(40)  # its exits are the map's that are less apart than this,
 EXIT_COST_M = 0.7  # and each exit that one of them lacks counts as this way off
 OFF_COST = 4.0  # a node is gone to as near as its surroundings allow: a metre off costs as much as this way

@@ -20,7 +20,7 @@ MARGIN_M = CELL_M / 2  # kept from occupied cells: the robot is driven to centre
 BACK = 2.5  # cost of a way back, of that ahead: the scanner does not see there
 TURN_M = 0.25  # cost of an eighth of a turn, metres of way: 0.5 s at 1.5 rad/s
 CLEAR_M = 0.6  # ways nearer to an obstacle than this cost more, in proportion,
-CLOSE_COST = 2.0  # at an obstacle this many times more
+CLOSE_COST = 2.0  # at an obstacle a metre costs this many metres more
 START_CELLS = 3.0  # the plan begins at a state no farther than this from the robot, cells
 START_RAD = 0.45  # and turned by no more than this: half an eighth of a turn, and the error of a turn
 

@@ -15,6 +15,7 @@ from jexplore.driving.settings import Tuning
 from jexplore.driving.vehicle import DT_S
 
 TURNED_RAD = 0.04  # from the end of a turn: 5 cm aside after a metre of way
+BLIND_STEPS = 30  # steps without a scan after which a run ends: three seconds, less than one turn in place
 OFF_RAD = 0.5  # a robot turned farther from its way turns before it drives
 LOOK_M = 1.0  # a robot looks anew at the end of the straight piece on which it has come this far
 PATIENCE = 100  # steps more than a motion should take, after which it counts as prevented
@@ -82,7 +83,7 @@ class Pilot:
         self._blind = self._blind + 1 if self.now.is_blind else 0
         if self.now.beacon_m < P.graph.goal_m:
             raise RunEnded(RunOutcome.GOAL)
-        if self._blind >= P.graph.blind_steps:
+        if self._blind >= BLIND_STEPS:
             raise RunEnded(RunOutcome.BLIND)
         if len(self.way) >= self._max_steps:
             raise RunEnded(RunOutcome.STEP_LIMIT)

@@ -10,7 +10,7 @@ import numpy as np
 from jexplore.tracemap.merging.evidence import Evidence
 from jexplore.tracemap.merging.limits import Limits
 from jexplore.tracemap.merging.pair import Guess, Pair, PlaceWay, leaving_alike, places_of
-from jexplore.tracemap.merging.rigid import Move, fit, mean_deg
+from jexplore.tracemap.merging.rigid import Move, fit, mean_deg, mirrored
 from jexplore.tracemap.record import BtmMap
 
 EVIDENCE = 6.0  # nats that a match must be worth, beyond what the number of tries makes of chance
@@ -41,7 +41,8 @@ class Match:
     move: Move  # takes the second map into the frame of the first
     evidence: float  # nats beyond chance
     margin: float
-    """Nats beyond the best match that gives a node another meaning; infinite without one."""
+    """Nats beyond the best match that gives a node another meaning; infinite without one. 0 at most where it contradicts
+    itself and the second map in a mirror explains more."""
 
 
 NOTHING = Match(Merging.MERGED, {}, (), (), (), Move(), math.inf, math.inf)
@@ -51,19 +52,21 @@ def match_maps(one: BtmMap, other: BtmMap, *, limits: Limits | None = None, min_
     """Find the common part of two proper maps.
 
     Guesses are grown from every pair of nodes that look alike, and weighed. The best one holds if it has enough nodes,
-    enough evidence and no rival nearly as good. Then nodes at the expected position are added by `with_neighbours`.
+    enough evidence and no rival nearly as good. If it contradicts itself, the mirrored second map is a rival too: the
+    common part of a building and its mirror image ends in nodes whose links leave the other way round. Then nodes at
+    the expected position are added by `with_neighbours`.
     """
-    pair = Pair(places_of(one), places_of(other), limits or Limits())
-    evidence = Evidence(pair)
-    weighed = [(evidence.gain(guess), guess.entries[0]) for guess in pair.guesses()]
-    weighed.sort(key=lambda entry: -entry[0])
+    pair, tries, weighed = _weighed(one, other, limits or Limits())
     # Once more grown: few are asked for, and all together would take much memory.
     grown = ((gain, guess, _nodes_of(guess, pair.limits)) for gain, guess in ((g, pair.grown(*e)) for g, e in weighed))
     gain, best, nodes = next(grown, (-math.inf, Guess(), {}))
     if not nodes:
         return dataclasses.replace(NOTHING, outcome=Merging.NOT_ENOUGH_IN_COMMON, evidence=-math.inf)
     margin = gain - next((rival for rival, _, others in grown if _exclude(nodes, others)), -math.inf)
-    worth = gain - evidence.tries
+    if best.contradictions:
+        reflected = _weighed(one, mirrored(other), pair.limits)[2]
+        margin = min(margin, 0.0 if reflected and reflected[0][0] > gain + MARGIN else math.inf)
+    worth = gain - tries
     if len(nodes) < min_common or worth < EVIDENCE:
         outcome = Merging.NOT_ENOUGH_IN_COMMON
     else:
@@ -79,6 +82,14 @@ def match_maps(one: BtmMap, other: BtmMap, *, limits: Limits | None = None, min_
         against = [both for both in against if not any(_links(*both) <= links for links in same)]
     beside = tuple(a for b, a in nodes.items() if b not in sure)
     return Match(outcome, nodes, tuple(ways), tuple(against), beside, move, worth, margin)
+
+
+def _weighed(one, other, limits):
+    """Return the pair, the logarithm of its tries, and what guesses gain and how they begin, the best first."""
+    pair = Pair(places_of(one), places_of(other), limits)
+    evidence = Evidence(pair)
+    weighed = [(evidence.gain(guess), guess.entries[0]) for guess in pair.guesses()]
+    return pair, evidence.tries, sorted(weighed, key=lambda entry: -entry[0])
 
 
 def _nodes_of(guess, limits):

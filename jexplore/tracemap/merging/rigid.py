@@ -59,12 +59,20 @@ def fit(points: Sequence[tuple[float, float]], onto: Sequence[tuple[float, float
 
 def moved_map(btm: BtmMap, move: Move) -> BtmMap:
     """Transform the map to another frame."""
+    return _mapped(btm, move.place, lambda bearing_deg: bearing_deg + move.turn_deg)
 
+
+def mirrored(btm: BtmMap) -> BtmMap:
+    """Mirror the map at its y axis: links go round nodes the other way."""
+    return _mapped(btm, lambda x_m, y_m: (-x_m, y_m), lambda bearing_deg: 180.0 - bearing_deg)
+
+
+def _mapped(btm, place, bearing):
     def turned(link):
         ends = {"start_bearing_deg": link.start_bearing_deg, "end_bearing_deg": link.end_bearing_deg}
-        own = {name: direction_deg(end + move.turn_deg) for name, end in ends.items() if end is not None}
+        own = {name: direction_deg(bearing(end)) for name, end in ends.items() if end is not None}
         return dataclasses.replace(link, **own)
 
-    places = (dict(zip(("x_m", "y_m"), move.place(node.x_m, node.y_m))) for node in btm.nodes)
+    places = (dict(zip(("x_m", "y_m"), place(node.x_m, node.y_m))) for node in btm.nodes)
     nodes = (dataclasses.replace(node, **own) for node, own in zip(btm.nodes, places))
     return BtmMap(tuple(nodes), tuple(map(turned, btm.links)), btm.attributes)
