@@ -41,8 +41,8 @@ class Match:
     move: Move  # takes the second map into the frame of the first
     evidence: float  # nats beyond chance
     margin: float
-    """Nats beyond the best match that gives a node another meaning; infinite without one. 0 at most where it contradicts
-    itself and the second map in a mirror explains more."""
+    """Nats beyond the best match that gives a node another meaning; infinite without one. 0 at most where it
+    contradicts itself and the second map in a mirror explains more."""
 
 
 NOTHING = Match(Merging.MERGED, {}, (), (), (), Move(), math.inf, math.inf)
