@@ -43,7 +43,7 @@ class Settings:
             if field.type is bool and not isinstance(value, bool):
                 raise InputError(f"{name} must be True or False, got {value!r}")
             if get_origin(field.type) is Literal and (isinstance(value, float) or value not in get_args(field.type)):
-                raise unknown(field.name, str(value), [*map(str, get_args(field.type))])
+                raise unknown(name, str(value), [*map(str, get_args(field.type))])
             if "check" in field.metadata and not (value is field.default is None):
                 field.metadata["check"](name, value)
 
@@ -95,7 +95,7 @@ class Lidar(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.n_beams > 1:
-            require_number("lidar.fov_deg", self.fov_deg, low_open=True)
+            require_number("lidar.fov_deg", self.fov_deg, low_open=True, high=360)
         require_number("lidar.min_range_m", self.min_range_m, high=self.range_m, high_open=True)
 
 

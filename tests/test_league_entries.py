@@ -100,7 +100,7 @@ def test_every_world_and_the_reference_are_needed(run, tmp_path):
     with pytest.raises(InputError, match=r"closest\+recheck is missing: every submission runs it too"):
         league.submit(other, "tiny", tmp_path / "entries")
     table[(table["strategy"] != "closest") | (table["world"] != WORLDS[1])].to_parquet(other / "episodes.parquet")
-    with pytest.raises(InputError, match=f"closest must have an episode in each world, {WORLDS[1]} first"):
+    with pytest.raises(InputError, match=f"closest must have one episode in each world, {WORLDS[1]} has none"):
         league.submit(other, "tiny", tmp_path / "entries")
 
 

@@ -422,7 +422,7 @@ def test_numbers_that_would_become_others_are_refused():
 def test_sets_have_no_order():
     for kind, given in (("strategies", {"closest", "random"}), ("worlds", frozenset({"cave", "office"}))):
         arguments = {"worlds": "cave", "strategies": "closest", kind: given}
-        refused(f"{kind} must be a list, got ", jx.compare, **arguments, episodes=1)
+        refused(f"{kind} must be a list, got a set, which has no order", jx.compare, **arguments, episodes=1)
     with pytest.raises(InputError, match="strategies must be a list, got "):
         sweep_from({"worlds": ["cave"], "strategies": {"closest", "random"}})
 

@@ -21,6 +21,7 @@ from jexplore.report.ledger import Work
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.results import units
 from jexplore.studies.results.columns import COLUMNS
+from jexplore.studies.results.units import run_units
 from jexplore.studies.sweeps import plan as plans
 from jexplore.studies.sweeps import run as runs
 from jexplore.studies.sweeps.axes import Range
@@ -161,6 +162,7 @@ def test_units_share_programs_and_miss_nothing(monkeypatch):
     ]
     parts = [in_shard(len(plan.units), (i, 3)) for i in range(3)]
     assert sorted(itertools.chain(*parts)) == in_shard(len(plan.units), None) == list(range(len(plan.units)))
+    assert run_units(plan.jobs, plan.units, []).tables == []  # a shard without a unit
     assert plan.episodes == 4 * 2 * 2 * 40
 
 

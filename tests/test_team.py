@@ -383,6 +383,15 @@ def test_axes_of_a_sweep_are_teams():
         refused(text, prepare_sweep, sweep_from({**spec, **more}))
 
 
+@pytest.mark.slow
+@pytest.mark.jit
+def test_a_sweep_of_teams_has_ratios_and_parameters():
+    given = {"strategies": ["closest", {"name": "utility", "beta": [5]}], "robots": [1, 2], "episodes": 2}
+    found = jx.sweep({"worlds": ["maze:width_m=3,height_m=3"], "rules": {"clearance_m": 0.1}, **given})
+    assert found.summary["ratio"].notna().all()
+    assert set(found.episodes.groupby("strategy")["strategy.beta"].max().dropna()) == {5}
+
+
 def test_an_own_coordination_has_a_name_of_its_own():
     def minpos(view):
         return -view.cost

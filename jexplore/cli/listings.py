@@ -52,6 +52,7 @@ class Worlds(OutOptions, CellOptions):
         from jexplore.report.tables import aligned_table
         from jexplore.studies.checks import ready_worlds
         from jexplore.studies.geometry import geometry, geometry_table
+        from jexplore.studies.results.provenance import describe_world
         from jexplore.worlds.regions import warn_of_floor
         from jexplore.worlds.starts import start_region
 
@@ -61,8 +62,8 @@ class Worlds(OutOptions, CellOptions):
                 worlds = ready_worlds(self.worlds or tuple(GENERATORS), self.cell_m)
             for world in worlds:
                 warn_of_floor(world, start_region(world, self.clearance_m), self.clearance_m, drawn=True)
-            record, rows, measured = out.record(worlds=worlds), [], []
-            for world, about in zip(worlds, record["worlds"]):
+            described, rows, measured = list(map(describe_world, worlds)), [], []
+            for world, about in zip(worlds, described):
                 height, width = world.shape
                 start = "-" if world.start is None else "{},{},{}".format(*world.start)
                 size = f"{width * world.cell_m:.1f} x {height * world.cell_m:.1f}"
@@ -71,7 +72,7 @@ class Worlds(OutOptions, CellOptions):
             if self.geometry:
                 use_compilation_cache()
                 with working(len(worlds), "worlds") as on_progress:
-                    for world, about in zip(worlds, record["worlds"]):
+                    for world, about in zip(worlds, described):
                         measured.append(geometry(world, clearance_m=self.clearance_m))
                         about["geometry"] = dataclasses.asdict(measured[-1])
                         on_progress(len(measured))
@@ -79,7 +80,7 @@ class Worlds(OutOptions, CellOptions):
             left = ["world", "cells", "metres", "free m²", "rooms", "start"]
             text = aligned_table(left, rows, left=left)
             text += f"\n{geometry_table(measured)}" if measured else ""
-            return out.finish(record, {"worlds.png": figure}, text)
+            return out.finish(out.record(worlds=described), {"worlds.png": figure}, text)
 
 
 @dataclasses.dataclass(frozen=True)

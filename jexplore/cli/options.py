@@ -96,8 +96,8 @@ class EngineOptions(WorkerOptions):
 
     engine: Literal["auto", "jax"] = "auto"
     """Run episodes in native code where possible, on a GPU or a CPU, and in JAX for the rest (auto), or in JAX alone,
-    on a GPU if available (jax). The results are equal. Trace runs are in JAX, on a CPU unless it is alone, and equal
-    but for rounding."""
+    on a GPU if available (jax). The results are equal. Trace runs are always in JAX: on a CPU (auto), or on a GPU if
+    available (jax), and equal but for rounding."""
     lanes: int | None = None
     """With --engine jax on a GPU, run this number of episodes at a time; by default as many as its memory holds."""
 

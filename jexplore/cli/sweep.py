@@ -31,7 +31,7 @@ class SweepCommand(EngineOptions, ReportOptions, ResumeOptions, TrustOptions):
     """
 
     spec: Positional[str] = ""
-    """File with the varied settings."""
+    """File with the varied settings (required)."""
     dry_run: bool = False
     """Only say how much work it is: episodes, units, compiled programs."""
     shard: str | None = None

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jexplore.arrays.padding import framed, within
+from jexplore.config import InputError
 from jexplore.extraction.lines import Lines, connected_cells, lines_of, take_corners
 from jexplore.extraction.passages import SEARCH, PlaceDraft, places_and_passages
 from jexplore.grid import centre_of, in_cells
@@ -54,9 +55,16 @@ def extract(
       clutter_m: obstacles in the open whose bounding box has a shorter diagonal, metres, are looked through.
       origin_m: x, y of the lower left corner of cell (0, 0), metres.
 
+    Raises:
+      InputError: no cell is free, or the start's is not.
+
     Source:
       Mano et al., Behavioral Trace Map. Changed: from the Voronoi graph of a whole map instead of single scans.
     """
+    if not free.any():
+        raise InputError("free: no cell of the map is free")
+    if start_rc is not None and not (np.all(np.less(start_rc, free.shape)) and min(start_rc) >= 0 and free[start_rc]):
+        raise InputError(f"start: cell {tuple(map(int, start_rc))} is not a free cell of the map")
     open_ = open_cells(known & ~free, known, in_cells(width_m, cell_m))[0]
     padded = framed(open_)
     mask, overflow = _looked_through(jnp.asarray(padded), jnp.float32(in_cells(clutter_m, cell_m)), edges=padded.size)

@@ -193,7 +193,7 @@ ffi::Error Lay(Motions route, Counts cost, Flags traversable, Numbers terms, ffi
   return ffi::Error::Success();
 }
 
-// `gain.look` and `gain.unknown_within` from the first n cells `at`: unknown cells that are passed within each of some
+// `gain.look` and `gain.seen_within` from the first n cells `at`: unknown cells that are passed within each of some
 // distances, then known ones. `cells`: bits of those that stop beams (1) and of unknown ones (2), with a margin as wide
 // as beams are long. Terms: n, how many unknown cells are enough to end a look, and the side of the square of `by_beam`.
 ffi::Error Look(Bytes cells, Counts at, Table by_beam, Counts length, ffi::Buffer<ffi::F32, 1> d2, Numbers terms,

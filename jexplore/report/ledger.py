@@ -32,7 +32,7 @@ class Ledger:
     after: int
     """Number of episodes of the finished run that this one continues: those come in no unit."""
     done: "dict[int, pd.DataFrame]"
-    """Numbers of the units that are finished -> their tables."""
+    """Numbers of the units that are finished -> their tables; empty of those that have been put."""
 
     def __init__(self, folder: Path, units: int, after: int) -> None:
         """Read the units that are there; remove files that are damaged or belong to none.
@@ -55,7 +55,7 @@ class Ledger:
     def put(self, unit: int, table: "pd.DataFrame") -> None:
         """Store a finished unit: on the disk when this returns."""
         write_parquet(table, self.folder / f"{unit:06d}.parquet")
-        self.done[unit] = table
+        self.done[unit] = table.head(0)  # whoever has made it keeps it
 
 
 def _table_in(file):

@@ -62,7 +62,9 @@ def list_of(kind: str, items: Any) -> list[Any]:
     if isinstance(items, (str, os.PathLike, World)):
         items = [items]
     # Of a set it is chance which strategy is the first, with which others are compared.
-    if isinstance(items, (set, frozenset, Mapping)) or not isinstance(items, Iterable):
+    if isinstance(items, (set, frozenset)):
+        raise InputError(f"{kind} must be a list, got a set, which has no order")
+    if isinstance(items, Mapping) or not isinstance(items, Iterable):
         raise InputError(f"{kind} must be a list, got {shown(items)}")
     items = list(items)
     if not items:

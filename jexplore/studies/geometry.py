@@ -140,7 +140,7 @@ def geometry_table(found: Sequence[Geometry]) -> str:
 
 
 def medians(found: Sequence[Geometry]) -> dict[str, float]:
-    """Compute the median of every column of the table over worlds: field -> number, NaN without any."""
+    """Compute the median of every column of the table over worlds: field -> number."""
     fields = [field for field, _ in GEOMETRY_COLUMNS.values()]
     return pd.DataFrame([dataclasses.asdict(one) for one in found])[fields].median().to_dict()
 

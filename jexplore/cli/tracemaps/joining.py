@@ -24,11 +24,11 @@ class MapsOptions:
     """Options of commands that take maps and write one file."""
 
     maps: Positional[tuple[str, ...]] = ()
-    """Files of the maps, such as btm.json. The result lies in the frame of the first."""
+    """Files of the maps, such as btm.json (required). The result lies in the frame of the first."""
     names: tuple[str, ...] = ()
     """Names of the maps in the output; by default those of their files, btm.json by its folder."""
     out: str | None = None
-    """Write into this file."""
+    """Write into this file, such as map.json, or page.html of station, which needs one."""
     overwrite: bool = False
     """Replace an existing file."""
 

@@ -34,7 +34,7 @@ class Trace(EngineOptions, ResumeOptions, CellOptions):
     runs: int | None = None
     """Number of runs, of every setting if some are swept; by default one a start."""
     starts: int | None = None
-    """Begin run i at draw i modulo N of the seed; by default all runs begin at one place."""
+    """Begin run i at draw i modulo this number of the seed; by default all runs begin at one place."""
     noise_m: float | None = None
     """Give the scanners' ranges this standard deviation, in metres, as --noise.range-m does."""
     sweep: tuple[str, ...] = ()

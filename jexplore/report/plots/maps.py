@@ -29,7 +29,6 @@ from jexplore.report.plots.looks import legend_below
 
 LONG_IN = 3.0  # longer side of a map on a page, unless said otherwise
 MAX_WALKS = 12  # panels of a page of bounds
-BOUND_LABELS = ("start", "end", "cell that the lower bound is made of")
 ROOMS_IN = 4.2  # longer side of a map of rooms
 WALL, FLOOR, GRAPH = "#3c3c3c", "#ebebeb", "#5a5a5a"
 MARKS = (  # what, marker, colour, for the legend
@@ -144,7 +143,7 @@ def _draw_bound(ax, world, way, witnesses):
     _draw_paths(ax, np.where(world.occupied, 2, 1), [way], world.cell_m)
     y, x = (witnesses.T + 0.5) * world.cell_m
     style: Any = {"ls": "none", "marker": "D", "ms": 3.5, "mfc": PALETTE[5], "mec": "white", "mew": 0.5}
-    ax.plot(x, y, zorder=5, label=BOUND_LABELS[-1], **style)
+    ax.plot(x, y, zorder=5, label="cell that the lower bound is made of", **style)
 
 
 def _between(row):

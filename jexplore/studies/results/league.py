@@ -88,7 +88,8 @@ def entries_of(run: Path, name: str) -> list[dict[str, Any]]:
     for strategy, own in table.groupby("strategy", sort=False):
         missing = [world for world in league.worlds if world not in set(own["world"])]
         if missing or len(own) != len(league.worlds):
-            raise InputError(f"{run}: {strategy} must have an episode in each world, {', '.join(missing[:1])} first")
+            which = f"{missing[0]} has none" if missing else f"got {len(own)} in {len(league.worlds)} worlds"
+            raise InputError(f"{run}: {strategy} must have one episode in each world, {which}")
         own = own.set_index("world").reindex(league.worlds).reset_index()
         if digest_of(asked, own) != league.digest:
             raise InputError(f"{run}: worlds or starts are not those of {name}, though their names and the seed are")

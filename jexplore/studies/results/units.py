@@ -138,7 +138,8 @@ def run_units(
     Raises:
       KeyboardInterrupt: no unit has been finished.
     """
-    work: Work[pd.DataFrame] = Work(numbers or range(len(units)), ledger, details.to_file, details.of_file)
+    asked = range(len(units)) if numbers is None else numbers
+    work: Work[pd.DataFrame] = Work(asked, ledger, details.to_file, details.of_file)
     resumed = sum(map(len, (*earlier, *work.done.values())))
     costs, done = Costs(), resumed
     for window in windows(work.left) if work.left else ():
@@ -168,6 +169,6 @@ def run_units(
         done += sum(len(job.starts) for job in cut)
         if costs.interrupted:
             break
-    if not work.done:  # a shorter run stays as it is
+    if work.left and not work.done:  # a shorter run stays as it is
         raise KeyboardInterrupt
     return Ran([*earlier, *work.results], costs, resumed)

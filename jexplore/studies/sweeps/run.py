@@ -163,8 +163,10 @@ def _windows(plan: SweepPlan, numbers: Sequence[int]) -> Iterator[list[int]]:
 
 
 def _block_table(plan, block, job, found):
-    """Return the table of a block, of its job and the outcomes; its setting by number."""
-    rows = {"setting": np.full(block.n, plan.setting_of(block.job)), **rows_of(job, found)}
+    """Return the table of a block: of its job and the outcomes, with the number of the setting and the strategy."""
+    name = plan.strategies[block.job % len(plan.strategies)]  # a team's job has a label instead
+    own = job._replace(strategy=job.strategy._replace(name=name))
+    rows = {"setting": np.full(block.n, plan.setting_of(block.job)), **rows_of(own, found)}
     return table_of(rows | {name: np.full(block.n, np.nan) for name in plan.measures if name not in rows})
 
 
@@ -204,11 +206,10 @@ def whole_table(tables: Sequence[pd.DataFrame], plan: SweepPlan) -> pd.DataFrame
     """
     table = pd.concat(tables, ignore_index=True)
     strategy, world = (
-        pd.Categorical(table[column], list(given)).codes  # -1 for the strategy of a team, which has another name
+        pd.Categorical(table[column], list(given)).codes
         for column, given in (("strategy", plan.strategies), ("world", map(os.fspath, plan.spec.worlds)))
     )
     own = [{f"strategy.{key}": value for key, value in one.items()} for one in plan.parameters]
-    own += [{}] if (strategy < 0).any() else []
     for rows, places in (([one.values for one in plan.settings], table["setting"]), (own, strategy)):
         for name in (name for name in plan.columns if any(name in row for row in rows)):
             table[name] = _column([row.get(name) for row in rows]).iloc[places].array

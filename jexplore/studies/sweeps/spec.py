@@ -110,7 +110,8 @@ class Sweep:
         strategies = (self.strategies,) if isinstance(self.strategies, Mapping) else self.strategies
         lists = {"worlds": self.worlds, "strategies": strategies, "settings": self.settings}
         for name, given in lists.items():
-            object.__setattr__(self, name, tuple(list_of(name, given)) if given or name != "settings" else ())
+            is_none = name == "settings" and isinstance(given, (list, tuple)) and not given
+            object.__setattr__(self, name, () if is_none else tuple(list_of(name, given)))
         for world in self.worlds:
             if not isinstance(world, (str, os.PathLike)):
                 raise InputError(f"worlds must be names or files, got {world!r}")
@@ -178,7 +179,7 @@ class Sweep:
             for row in combined(some, self.draws or 1, "sobol", seed, WHOLE_SETTINGS):
                 setting = {**row, **one}
                 found.append({key: setting.get(key, DEFAULTS[key]) for key in names})
-        if len({tuple(setting.values()) for setting in found}) < len(found):
+        if len({tuple((type(v) is bool, v) for v in setting.values()) for setting in found}) < len(found):  # True is 1
             raise InputError("settings must differ: a value is given twice, or a range of whole numbers is too short")
         return found
 
