@@ -43,7 +43,7 @@ class Settings:
             if field.type is bool and not isinstance(value, bool):
                 raise InputError(f"{name} must be True or False, got {value!r}")
             if get_origin(field.type) is Literal and (isinstance(value, float) or value not in get_args(field.type)):
-                raise unknown(name, str(value), [*map(str, get_args(field.type))])
+                raise unknown(field.name, str(value), [*map(str, get_args(field.type))])
             if "check" in field.metadata and not (value is field.default is None):
                 field.metadata["check"](name, value)
 
