@@ -114,7 +114,7 @@ class Odometry(Settings):
     4 grow with the root of way and turn, so that they do not depend on the length of steps.
     """
 
-    HOLDS_ARRAYS = True
+    HOLDS_ARRAYS: ClassVar[bool] = True
 
     length: float = limit(0.01, high=0.5)
     """The length of a step has this standard deviation, relative to it."""

@@ -6,6 +6,7 @@ single batch. The docstrings are the command line's help texts. All other number
 
 import dataclasses
 import math
+from typing import ClassVar
 
 from jexplore.config import NUMBER_BOUNDS, InputError, checked_names, require_kind, require_number, require_whole
 from jexplore.rules import Odometry, Settings, limit
@@ -16,7 +17,7 @@ from jexplore.rules import Odometry, Settings, limit
 class Robot(Settings):
     """Dimensions and limits of a robot."""
 
-    HOLDS_ARRAYS = True
+    HOLDS_ARRAYS: ClassVar[bool] = True
 
     name: str
     length_m: float = limit(low_open=True, high=10)
@@ -71,7 +72,7 @@ WHOLE = {"votes": 9, "helps": 100}
 class Tuning(Settings):
     """Thresholds of perception and behaviour. Letters in brackets are those of Mano et al."""
 
-    HOLDS_ARRAYS = True
+    HOLDS_ARRAYS: ClassVar[bool] = True
 
     width_m: float = limit(0.39, low_open=True, high=1000)
     """A gap narrower than this reference width [W], in metres, is no opening, and no side of a triangle. The default is
