@@ -4,6 +4,7 @@ Frozen pytrees of one robot. Poses are x, y, metres, and heading, radians; unles
 In the robot's frame x is ahead and y to the left. Defaults are those of the first step.
 """
 
+import dataclasses
 import enum
 import math
 from typing import Any, NamedTuple
@@ -17,9 +18,9 @@ from jax.tree_util import register_dataclass
 from jexplore.btm import Btm
 from jexplore.driving.settings import Noise, Robot, Tuning
 
-register_dataclass(Robot, [f for f in Robot.__dataclass_fields__ if f != "name"], ["name"])
-register_dataclass(Tuning, list(Tuning.__dataclass_fields__), [])
-register_dataclass(Noise, list(Noise.__dataclass_fields__), [])
+register_dataclass(Robot, [field.name for field in dataclasses.fields(Robot) if field.name != "name"], ["name"])
+register_dataclass(Tuning)
+register_dataclass(Noise)
 
 
 def _of(value: float | int | bool, size: int | None = None) -> Any:

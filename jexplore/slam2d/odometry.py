@@ -6,7 +6,7 @@ from jax.tree_util import register_dataclass
 
 from jexplore.rules import Odometry
 
-register_dataclass(Odometry, list(Odometry.__dataclass_fields__), [])
+register_dataclass(Odometry)
 FLOOR_M, FLOOR_RAD = 1e-3, 1e-3  # least standard deviation of a step: a covariance must be positive
 
 

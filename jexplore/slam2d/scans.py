@@ -8,7 +8,7 @@ from jax.tree_util import register_dataclass
 from jexplore.arrays.loops import one_kernel
 from jexplore.slam2d.settings import SlamSettings
 
-register_dataclass(SlamSettings, list(SlamSettings.__dataclass_fields__), [])
+register_dataclass(SlamSettings)
 LINE_BEAMS = 5  # beams on either side through whose points a line is laid
 
 
