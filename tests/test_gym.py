@@ -289,8 +289,9 @@ def test_without_the_package_it_says_what_to_install(monkeypatch):
 
 
 @pytest.mark.slow
-def test_closest_in_lanes_is_closest_to_the_bit(envs, compared):
-    table, starts = compared
+def test_closest_in_lanes_is_closest_to_the_bit(envs):
+    table = jx.compare(two_rooms(), "closest", episodes=4, seed=2, lidar=LIDAR).episodes
+    starts = table[["start_row", "start_col", "start_heading_deg"]].to_numpy(np.int32)
     seen, info = envs.reset(seed=[2] * 4, options={"start": starts, "world": [0] * 4, "episode": range(4)})
     ended = np.zeros(4, int)
     for step in range(1, 60):

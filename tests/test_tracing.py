@@ -71,7 +71,7 @@ def test_files(ran):
 def test_the_page_shows_the_run_that_was_made(tmp_path, capsys):
     options = ["--noise-m", "0.01", "--animate", "--max-steps", "1000", "--out", str(tmp_path / "new")]
     assert main.main(["trace", *options]) == 0
-    assert recording._frame.__wrapped__._cache_size() == 1  # the page's steps are one program
+    assert recording._view.__wrapped__._cache_size() == 1  # the page's steps are one program
     page = (tmp_path / "new" / "btm.html").read_text(encoding="utf-8")
     assert "kamui in course" in page
     assert "branch selection" in page
