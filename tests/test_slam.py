@@ -15,7 +15,7 @@ from jexplore.slam2d.closing import Keys, Scanner, map_of
 from jexplore.slam2d.graph import Loops, Steps, settle, surprise, turned_covariance
 from jexplore.slam2d.mapping import Sizes, blank, close
 from jexplore.slam2d.matching import Outcome, inverted, match
-from jexplore.slam2d.points import GATE, PointMap, add, cell_m, cells_of, empty_map, partners
+from jexplore.slam2d.points import REACH, PointMap, add, cell_m, cells_of, empty_map, partners
 from jexplore.slam2d.scans import Scan, read_scan
 from jexplore.slam2d.search import Window, most_steps, picture, search, step_cost
 from jexplore.slam2d.settings import SlamSettings
@@ -144,7 +144,7 @@ def test_partner_is_the_point_nearest_to_the_middle_of_the_cell(seed):
     tree = ref.KDTree(stored(points)[0])
     d, i = tree.query(ref.middles(OWN, xy, (0.5, 0.5), (64, 64)))
     found, d2 = ask(points, xy)
-    near = d < (GATE + 0.5) * cell_m(OWN)
+    near = d < (REACH + 1 - np.sqrt(0.5)) * cell_m(OWN)
     np.testing.assert_allclose(found[near], stored(points)[0][i[near]], atol=1e-5)
     exact = tree.query(xy)[0]
     assert (np.sqrt(d2[exact < OWN.gate_m]) < np.inf).all()

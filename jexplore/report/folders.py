@@ -122,6 +122,8 @@ class RunFolder:
 
     def claim(self, *, is_new: bool) -> None:
         """Make the folder and its parents, lock it, and complete what its last holder was killed at."""
+        if self.path.is_file():
+            raise InputError(f"{str(self.path)!r} must be a folder, got a file")
         with _writable(self.path, OSError, ValueError):
             for folder in reversed([self.path, *self.path.parents]):
                 own = is_new and folder == self.path

@@ -2,7 +2,6 @@
 for every small cell of a square of the world.
 """
 
-import math
 from collections.abc import Callable
 from typing import ClassVar, NamedTuple, Self
 
@@ -23,7 +22,6 @@ STEPS = 190  # to which a squared distance of 1 cell^2 is rounded: (REACH + 0.5)
 NUMBER_BITS = 18  # of a point's number in `near`; its squared distance stands above
 NO_POINT = 2**31 - 1
 TOGETHER = 32  # points that enter the index at a time
-GATE = REACH + 0.5 - 1 / math.sqrt(2)  # cells from a query within which no point is missing
 
 
 @struct.dataclass

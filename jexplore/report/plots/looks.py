@@ -91,7 +91,8 @@ def ratio_scale(ax: Any, name: str, low: float, high: float) -> None:
     """Make the axis "x" or "y" logarithmic, from `low` to `high`, with some five round numbers."""
     axis = {"x": ax.xaxis, "y": ax.yaxis}[name]
     ax.set(**{f"{name}scale": "log"})
-    wide = LogLocator(subs=(1, 2, 5) if high < 30 * low else (1,), numticks=7)
+    decades = math.log10(high / low)
+    wide = LogLocator(subs=(1, 1.5, 2, 3, 5, 7) if decades < 1 else (1, 2, 5) if decades < 3 else (1,), numticks=7)
     axis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]) if high < 3 * low else wide)
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_locator(NullLocator())

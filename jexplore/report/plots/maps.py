@@ -63,7 +63,7 @@ def maps_page(panels: Sequence[MapPanel], n_cols: int | None = None, long_in: fl
         for panel in panels
     ]
     lines = 1 + max(title.count("\n") for title in titles)
-    size = (max(width * n_cols + 0.3, 3.6), sum(heights) + (0.6 + 0.17 * lines) * len(rows))
+    size = (max(width * n_cols + 0.3, 3.6), sum(heights) + (0.3 + 0.17 * lines) * len(rows))
     page = Figure(figsize=size, layout="constrained")
     grid = page.subplots(len(rows), n_cols, squeeze=False, gridspec_kw={"height_ratios": heights})
     for ax, panel, title in itertools.zip_longest(grid.flat, panels, titles):
