@@ -90,7 +90,10 @@ def _pictures(out, found, record, plan):
         labels = labels_of(settings)
     rows = len(found.summary)
     heading = "Every setting" if rows <= REPORTED_ROWS else f"The first {REPORTED_ROWS} of {rows} rows of summary.csv"
-    tables = lambda: [(heading, summary_table(found.summary.head(REPORTED_ROWS), found.varied))]  # noqa: E731
+
+    def tables():
+        return [(heading, summary_table(found.summary.head(REPORTED_ROWS), found.varied))]
+
     return pictures_of(found.figures(), record, tables, jobs, labels=labels)
 
 
