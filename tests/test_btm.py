@@ -93,8 +93,8 @@ def test_turned_left_by_hand(bearing, reference, want):
 @pytest.mark.parametrize(
     ("place", "kind", "want"),
     [
-        ((0, 0), TERMINAL, (0, 0)),
-        ((3, 4), TERMINAL, (0, 5)),
+        ((0, 0), TERMINAL, (0, 2)),
+        ((3, 6), TERMINAL, (0, 5)),
         ((3, 4), DIVERGENCE, (1, 4)),
         ((10, 1), DIVERGENCE, (2, 1)),
         ((6.5, 0), DIVERGENCE, (1, 3.5)),  # equally near: the lower id
@@ -103,7 +103,7 @@ def test_turned_left_by_hand(bearing, reference, want):
     ],
 )
 def test_the_nearest_node_of_a_kind(place, kind, want):
-    map_ = grown([(TERMINAL, 0, 0), (DIVERGENCE, 3, 0), (DIVERGENCE, 10, 0)])
+    map_ = grown([(TERMINAL, 0, 2), (DIVERGENCE, 3, 0), (DIVERGENCE, 10, 0)])
     which, distance = btm.nearest_node(map_, *place, kind)
     assert (int(which), float(distance)) == want
 

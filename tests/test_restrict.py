@@ -9,11 +9,13 @@ from ref.refusals import refused
 
 import jexplore as jx
 from jexplore.config import InputError
+from jexplore.grid import Grid
 from jexplore.rules import Lidar
 from jexplore.studies import checks
 from jexplore.studies.results import provenance
 from jexplore.worlds.poses import read_polygon
 from jexplore.worlds.readers.ros import write_ros
+from jexplore.worlds.readers.scans import ScanMap
 from jexplore.worlds.restrict import stay_within, with_known
 from jexplore.worlds.starts import check_start, draw_starts, start_region
 
@@ -103,6 +105,12 @@ def test_a_map_that_does_not_fit_is_refused(tmp_path):
         with_known(ROOM, tmp_path / "far.yaml")
     with pytest.raises(InputError, match=r"^the map must be integers \[5, 8\], .* got float64 of shape \[5, 8\]$"):
         with_known(ROOM, np.zeros(ROOM.shape))
+
+
+def test_a_map_of_scans_says_what_most_of_them_do():
+    scans = Grid(np.where(ROOM.occupied, 3, 1), np.where(ROOM.occupied, 1, 9))
+    known = with_known(ROOM, ScanMap(scans, 1.0, ROOM.origin_m, (1, 1, 0))).known
+    assert (known == ROOM.occupied).all()
 
 
 @pytest.mark.parametrize(
