@@ -174,13 +174,8 @@ def free_spaces(
 
 def _leading_out(near, inside, special):
     """Yield paths from cells of a set to the next special cell outside or back into the set."""
-    for cell in sorted(inside):
-        for first in sorted(near[cell] - inside):
-            path = [cell, first]
-            while path[-1] not in inside and path[-1] not in special:
-                (on,) = near[path[-1]] - {path[-2]}
-                path.append(on)
-            yield path
+    for path in chains(near, sorted(inside), inside | special):
+        yield from (way for way in (path, path[::-1]) if way[0] in inside and way[1] not in inside)
 
 
 def _paths_through(lines: Lines, near: dict[int, set[int]], space: set[int], ports: set[int]) -> list[list[int]]:

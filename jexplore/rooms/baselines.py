@@ -57,9 +57,8 @@ def distance_rooms(inside: np.ndarray, clearance: np.ndarray, cell_m: float) -> 
         parts, area_m2 = _parts(inside & (clearance > level), cell_m)
         large = area_m2 >= DISTANCE_M2
         if large.sum() > most:
-            most, best = large.sum(), np.where(large[parts], parts, 0)
-    numbers = np.unique(best[best > 0])
-    return grown(np.where(best > 0, np.searchsorted(numbers, best) + 1, 0), inside)
+            most, best = large.sum(), np.where(large, np.cumsum(large), 0)[parts]
+    return grown(best, inside)
 
 
 def morphological_rooms(inside: np.ndarray, clearance: np.ndarray, cell_m: float) -> np.ndarray:

@@ -80,9 +80,7 @@ def compared(truth: np.ndarray | None, found: np.ndarray, free: np.ndarray, cell
     """
     gap = DOOR_NEAR_M / cell_m
     own = touching(with_doorways(found, free, gap))
-    if truth is None:
-        return Doors(_middles([]), _middles([]), _middles(own), len(own))
-    true = touching(with_doorways(truth, free, gap))
+    true = [] if truth is None else touching(with_doorways(truth, free, gap))
     close = [_close(_middles(pieces), others, free.shape, gap) for pieces, others in ((true, own), (own, true))]
     middles = _middles(true), _middles(own)
     return Doors(middles[0][close[0]], middles[0][~close[0]], middles[1][~close[1]], len(own))

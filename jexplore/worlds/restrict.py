@@ -1,12 +1,12 @@
 """Limits of an episode in a world, and prior knowledge of its robot: a region to stay in, a partial map."""
 
 import os
-from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from jexplore.config import InputError
+from jexplore.grid import centre_of
 from jexplore.worlds.poses import Polygon, read_polygon
 from jexplore.worlds.readers.grids import FREE_MAX, OCCUPIED_MIN, inside_polygon, require_upright
 from jexplore.worlds.readers.ros import read_ros
@@ -29,7 +29,7 @@ def stay_within(world: World, polygon_m: str | Polygon) -> World:
     count neither as known nor as explorable.
     """
     corner = np.array(read_polygon(polygon_m))
-    x, y = _centres(world)
+    x, y = centre_of(*map(np.arange, world.shape), cell_m=world.cell_m, origin_m=world.origin_m)
     inside = inside_polygon(corner, x, y)
     if not (inside & ~world.occupied).any():
         (x0, y0), (x1, y1) = corner.min(axis=0), corner.max(axis=0)
@@ -65,7 +65,7 @@ def with_known(world: World, map_: KnownMap) -> World:
             )
     if abs(cell_m - world.cell_m) > 1e-6 * world.cell_m:
         raise InputError(f"{name}: has cells of {cell_m:g} m, {world.name!r} of {world.cell_m:g} m; make them equal")
-    x, y = _centres(world)
+    x, y = centre_of(*map(np.arange, world.shape), cell_m=world.cell_m, origin_m=world.origin_m)
     col, row = (np.floor((at - low) / cell_m).astype(int) for at, low in zip((x, y), origin_m))
     (height, width), known = occupancy.shape, np.full(world.shape, -1, np.int8)
     rows, cols = (row >= 0) & (row < height), (col >= 0) & (col < width)
@@ -74,8 +74,3 @@ def with_known(world: World, map_: KnownMap) -> World:
     if not ((known == 0) & ~world.occupied).any():
         raise InputError(f"{name}: none of its free cells is free in {world.name!r}; is it a map of this building?")
     return world.replace(known=known)
-
-
-def _centres(world: World) -> Iterator[np.ndarray]:
-    """Return x of the columns' centres and y of the rows', metres."""
-    return (low + (np.arange(n) + 0.5) * world.cell_m for low, n in zip(world.origin_m, world.shape[::-1]))

@@ -27,10 +27,13 @@ def clear_of_walls(occupied: np.ndarray, clearance_m: float, cell_m: float) -> n
     return d2 > radius_d2(clearance_m, cell_m)
 
 
-def largest_component(mask: np.ndarray) -> np.ndarray:
-    """Return the cells of the largest 4-connected component; of equal ones, of that with the lowest flat index."""
-    labels = label_components(mask)
-    return mask & (labels == np.argmax(np.bincount(labels[mask], minlength=1)))
+def largest_component(mask: np.ndarray, counted: np.ndarray | None = None) -> np.ndarray:
+    """Return the cells of the largest 4-connected component; of equal ones, of that with the lowest flat index.
+
+    With `counted`, some cells of the mask, only these have a size and are returned.
+    """
+    labels, counted = label_components(mask), mask if counted is None else counted
+    return counted & (labels == np.argmax(np.bincount(labels[counted], minlength=1)))
 
 
 def clear_in(world: World, clearance_m: float) -> np.ndarray:
@@ -47,11 +50,7 @@ def start_region(world: World, clearance_m: float) -> np.ndarray:
     Only a world's region counts, and what its partial map shows to be free. Of equal ones it is the first.
     """
     clear = clear_in(world, clearance_m)
-    labels = label_components(clear)
-    if world.known is not None:
-        clear &= world.known == 0
-    sizes = np.bincount(labels[clear])
-    return clear & (labels == (np.argmax(sizes) if sizes.size else 0))
+    return largest_component(clear, clear if world.known is None else clear & (world.known == 0))
 
 
 def draw_starts(world: World, seed: int, n: int, clearance_m: float) -> np.ndarray:

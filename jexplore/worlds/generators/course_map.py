@@ -128,10 +128,9 @@ def render_course(plan: CoursePlan, cell_m: float, obstacle: str, riser_m: float
         occupied[grid.box(rect)] = False
     for rect in plan.boxes:
         occupied[grid.box(rect)] = True
-    elevation = np.zeros(grid.shape, np.float32) if plan.ramps else None
-    if elevation is not None:
-        for ramp in plan.ramps:
-            _raise_ground(elevation, grid, ramp, obstacle, riser_m)
+    elevation = np.zeros(grid.shape, np.float32)
+    for ramp in plan.ramps:
+        _raise_ground(elevation, grid, ramp, obstacle, riser_m)
     nodes = tuple(_node(i, stop, grid, obstacle, riser_m) for i, stop in enumerate(plan.stops))
     topology = BtmMap(nodes, _links(plan, nodes, grid))
     start, heading_deg = _node(0, plan.start, grid, obstacle, riser_m), 90.0 * plan.start.heading
@@ -142,7 +141,8 @@ def render_course(plan: CoursePlan, cell_m: float, obstacle: str, riser_m: float
         topology=topology if plan.has_goal else topology_from(topology, pose),
     )
     cell = int(start.y_m / cell_m), int(start.x_m / cell_m), int(heading_deg)
-    return World(occupied=occupied, elevation=elevation, start=cell, cell_m=float(cell_m), course=course)
+    ground = elevation if plan.ramps else None
+    return World(occupied=occupied, elevation=ground, start=cell, cell_m=float(cell_m), course=course)
 
 
 def _creases(grid: _Grid, ramp: Ramp, obstacle: str) -> list[float]:

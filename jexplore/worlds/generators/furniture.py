@@ -214,11 +214,8 @@ def _legs(u0: float, v0: float, u1: float, v1: float) -> list[Rect]:
 
 def _door_zone(door: Door, before: float = _DOOR_M[1]) -> Rect:
     """Return the area to keep free on both sides of a door."""
-    beside = _DOOR_M[0]
-    along = (door.middle - door.width / 2 - beside, door.middle + door.width / 2 + beside)
-    across = (door.wall - before, door.wall + before)
-    (x0, x1), (y0, y1) = (across, along) if door.vertical else (along, across)
-    return x0, y0, x1, y1
+    low, high = door.middle - door.width / 2 - _DOOR_M[0], door.middle + door.width / 2 + _DOOR_M[0]
+    return Side(door.vertical, door.wall, 1, low, high).block(low, -before, high, before)
 
 
 def _face(plan: FloorPlan, vertical: bool, wall: float) -> float:

@@ -110,8 +110,6 @@ def _sides_of(column: int, row: int) -> set[_Side]:
 def _wanted(draw: _Draws, sides: set[_Side], repeat: int) -> list[tuple[_Key, int]]:
     """Return places, keys of column and row, and headings of dead ends for rings; none next to equal junctions."""
     found = []
-    if draw.rng is None:
-        return found
     for side in sorted(sides):
         along = draw.choice((side.low, (side.low + side.high) / 2, side.high))
         at = (along, side.line) if side.axis == 0 else (side.line, along)

@@ -25,8 +25,6 @@ _OPENINGS, _LOOPS, _WIDTHS, _NICHES = 101, 102, 103, 104  # random streams
 def corridor_widths(plan: FloorPlan, corridor_m: float, sd_m: float) -> list[float]:
     """Return the width of every corridor, one in every 10 m of depth: all equal, or drawn by a normal distribution."""
     n = max(1, round(plan.height_m / 10))
-    if not sd_m:
-        return [corridor_m] * n
     drawn = plan.stream(_WIDTHS).normal(corridor_m, sd_m, n)
     return np.clip(drawn, _LEAST_M, max(_MOST_M, corridor_m)).tolist()
 
@@ -100,8 +98,6 @@ def limit_loops(plan: FloorPlan, max_loops: float) -> None:
 
 def widen_openings(plan: FloorPlan, share: float) -> None:
     """Make openings of a share of the doors, as far as their walls are long enough; of a larger share, of some more."""
-    if not share:
-        return
     rng = plan.stream(_OPENINGS)
     draws = list(zip(rng.permutation(len(plan.doors)).tolist(), rng.uniform(*_OPENING_M, len(plan.doors)).tolist()))
     left = round(share * len(plan.doors))

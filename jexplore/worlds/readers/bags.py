@@ -11,7 +11,7 @@ import contextlib
 import dataclasses
 import math
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -68,11 +68,7 @@ def read_bag(path: str | os.PathLike[str], *, topic: str | None = None) -> Recor
     if topic is not None and not isinstance(topic, str):
         raise InputError(f"{path!r}: topic must be the name of one, as /map, got {topic!r}")
     with opened_bag(path) as reader:
-        topic, connections = connections_of(path, reader.connections, topic, _MAPS)
-        last = collections.deque((raw for _, _, raw in reader.messages(connections)), maxlen=1)
-        if not last:
-            raise InputError(f"{path!r}: has no message on the topic {topic}")
-        grid = reader.deserialize(last[0], _MAPS.type)
+        topic, (grid,) = _messages(path, reader, topic, _MAPS, most=1)
     return _recorded(f"{path!r}: the map on {topic}", topic, grid)
 
 
@@ -123,12 +119,12 @@ def load_bag(
     return World(occupied=cells, cell_m=cell_m, name=path, origin_m=grid.origin_m)
 
 
-def connections_of(path: str, connections: Iterable[Any], topic: str | None, kind: Kind) -> tuple[str, list[Any]]:
-    """Return the topic of a recording with messages of one kind, and its connections."""
-    some = [one for one in connections if one.msgtype == kind.type]
+def _messages(path: str, reader: Any, topic: str | None, kind: Kind, most: int | None = None) -> tuple[str, list[Any]]:
+    """Return the topic of a recording with messages of one kind, and its messages; with `most` the last of them."""
+    some = [one for one in reader.connections if one.msgtype == kind.type]
     topics = sorted({one.topic for one in some})
     if not some:
-        others = ", ".join(sorted({one.topic for one in connections})) or "none"
+        others = ", ".join(sorted({one.topic for one in reader.connections})) or "none"
         raise InputError(
             f"{path!r}: has no message of the type {kind.type.replace('/msg/', '/')} (its topics: {others})"
         )
@@ -140,7 +136,11 @@ def connections_of(path: str, connections: Iterable[Any], topic: str | None, kin
         raise InputError(
             f"{path!r}: has no {one} on the topic {chosen!r}; there are {kind.name} on {', '.join(topics)}"
         )
-    return chosen, [one for one in some if one.topic == chosen]
+    some = [one for one in some if one.topic == chosen]
+    found = collections.deque((raw for _, _, raw in reader.messages(some)), maxlen=most)
+    if not found:
+        raise InputError(f"{path!r}: has no message on the topic {chosen}")
+    return chosen, [reader.deserialize(raw, kind.type) for raw in found]
 
 
 def _recorded(where: str, topic: str, grid: Any) -> RecordedGrid:
@@ -199,10 +199,7 @@ def read_laser_bag(
     """
     path = os.fspath(path)
     with opened_bag(path) as reader:
-        topic, some = connections_of(path, reader.connections, topic, _SCANS)
-        scans = [reader.deserialize(raw, _SCANS.type) for _, _, raw in reader.messages(some)]
-        if not scans:
-            raise InputError(f"{path!r}: has no message on the topic {topic}")
+        topic, scans = _messages(path, reader, topic, _SCANS)
         links, frame = _links(reader), _name(scans[0].header.frame_id)
         own, base, odometry = _odometry(path, reader, odometry_topic, links, frame)
     steps = np.array(sorted(odometry))
@@ -237,10 +234,7 @@ def _odometry(
     if topic is None and not are_messages and any(link.parent == _ODOM for link in links.values()):
         base = _base(path, links, frame)
         return _ODOM, base, [(time, *_flat(matrix)) for time, matrix in links[base].known]
-    topic, some = connections_of(path, reader.connections, topic, _ODOMETRY)
-    messages = [reader.deserialize(raw, _ODOMETRY.type) for _, _, raw in reader.messages(some)]
-    if not messages:
-        raise InputError(f"{path!r}: has no message on the topic {topic}")
+    topic, messages = _messages(path, reader, topic, _ODOMETRY)
     told = [(m.header, m.pose.pose.position, m.pose.pose.orientation) for m in messages]
     odometry = [(_seconds(header), *_flat(_matrix(place, turn))) for header, place, turn in told]
     return topic, _name(messages[0].child_frame_id), odometry

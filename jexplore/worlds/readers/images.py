@@ -11,6 +11,7 @@ import warnings
 
 import numpy as np
 from PIL import Image, ImageOps
+from scipy import ndimage
 
 from jexplore.arrays.files import first_line, read_bytes, told_kind
 from jexplore.config import InputError, require_number, warn_of_input
@@ -45,7 +46,7 @@ def load_image(path: str, scale: float | tuple[float, float], *, cell_m: float =
     if isinstance(scale, tuple):
         if not occupied.any():
             raise InputError(f"{path!r}: no pixel is occupied, so there is no box; take @0.05, metres a pixel")
-        box = _bounding_box(occupied)
+        box = ndimage.find_objects(occupied.view(np.uint8))[0]
         levels, occupied = levels[box], occupied[box]
         if occupied.all():
             raise InputError(
@@ -151,13 +152,6 @@ def _levels(path: str | os.PathLike[str], image: Image.Image, form: str | None) 
     return pixels[..., None] if pixels.ndim == 2 else pixels
 
 
-def _bounding_box(mask: np.ndarray) -> tuple[slice, slice]:
-    """Return rows and columns from the first to the last True."""
-    ends = (np.flatnonzero(mask.any(axis=axis))[[0, -1]] for axis in (1, 0))
-    rows, cols = (slice(int(first), int(last) + 1) for first, last in ends)
-    return rows, cols
-
-
 def _marked_start(
     levels: np.ndarray, pixel_m: tuple[float, float], cell_m: float, cells: np.ndarray
 ) -> tuple[int, int, int] | None:
@@ -167,7 +161,7 @@ def _marked_start(
     coloured = rgb.max(axis=2) - rgb.min(axis=2) >= _SATURATED
     if not coloured.any():
         return None
-    box = _bounding_box(coloured)
+    box = ndimage.find_objects(coloured.view(np.uint8))[0]
     if (rgb[box] != rgb[box][0, 0]).any():
         return None
     row, col = (int((s.start + s.stop) / 2 * size / cell_m) for s, size in zip(box, pixel_m[::-1]))
