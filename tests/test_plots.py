@@ -30,7 +30,7 @@ def shown(figure):
 
 def test_ratios_by_hand(ax):
     estimates = compare.Estimates(np.array([1.0, 0.8]), np.array([np.nan, 1e-6]), np.array([np.nan, 0.9]))
-    reference, other = compare.draw_ratios(ax, estimates, list(looks.looks_of("ab").values()))
+    reference, other = compare.draw_ratios(ax, estimates, list(looks.looks_of("ab").values()), [[], []])
     assert reference.lines[0].get_xydata().tolist() == [[1.0, 0.0]]
     assert not reference.lines[2]
     assert other.lines[0].get_xydata().tolist() == [[0.8, 1.0]]

@@ -9,10 +9,12 @@ from ref.refusals import refused
 from ref.worlds import two_rooms
 
 from jexplore.exploration import replay
-from jexplore.exploration.results import map_state
+from jexplore.exploration.results import length_along_m, map_state
 from jexplore.exploration.site import prepare_site
 from jexplore.policies import parse_strategy
 from jexplore.raycast import scans_all_round
+from jexplore.report import animate
+from jexplore.report.page.replay import FRONTIER, STATE
 from jexplore.rules import Lidar, Rules
 from jexplore.studies import explore
 from jexplore.studies.comparison import compare
@@ -82,25 +84,27 @@ def test_exhausted_targets_are_marked_in_the_replay():
     assert int(last.belief.exhausted.sum()) == episode.measures["exhausted"]
 
 
-def test_frames_of_an_animation(made):
-    frames = list(made._pictures(10, None))
-    n = made.measures["steps"]
-    steps = [len(frame["rows"]) - 1 for frame in frames]
-    assert len(frames) == 10
+def test_frames_of_an_animation(made, monkeypatch):
+    saved, n = [], made.measures["steps"]
+    monkeypatch.setattr(animate, "save_animation", lambda replay, captions, *_, **how: saved.append((replay, captions)))
+    for most in (10, 1, 10**6):
+        made.save_gif("a.gif", max_frames=most)
+    (frames, captions), *others = saved
+    assert [len(replay.steps) for replay, _ in others] == [1, n + 1]
+    steps, codes = frames.steps.tolist(), [image.copy() for image in frames.maps()]
+    assert len(codes) == 10
     assert [steps[0], steps[-1]] == [0, n]
     assert (np.diff(steps) > 0).all()
-    states, frontiers = (np.stack([frame[name] for frame in frames]) for name in ("state", "frontier"))
-    for frame, step in zip(frames, steps):
-        assert (frame["row"], frame["col"]) == (made.final.rows[step], made.final.cols[step])
-        assert f"{made.final.n_known[step] * 0.01:.0f} m² known" in frame["caption"]
+    states, frontiers = (np.stack(codes) & part for part in (STATE, FRONTIER))
+    for caption, step in zip(captions, steps, strict=True):
+        driven_m = length_along_m(made.final.rows, made.final.cols, 0.1)[step]
+        assert caption == f"{driven_m:.1f} m driven, {made.final.n_known[step] * 0.01:.0f} m² known"
     assert not frontiers[:, made.world.occupied].any()
-    assert (states[frontiers] > 0).all()
-    assert frontiers[0][frames[0]["target"]]  # what it goes to is a frontier cell of the map that it sees
+    assert (states[frontiers > 0] > 0).all()
+    assert frontiers[0][tuple(frames.target[0])]  # what it goes to is a frontier cell of the map that it sees
     assert not frontiers[-1].any()
-    assert frames[-1]["target"] is None
+    assert (frames.target[-1] < 0).all()
     np.testing.assert_array_equal(states[-1], map_state(made.final.hits, made.final.misses, Rules().p_free))
-    assert len(list(made._pictures(1, None))) == 1
-    assert len(list(made._pictures(10**6, None))) == n + 1
 
 
 def test_an_episode_is_that_number_of_a_comparison(made):

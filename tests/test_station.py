@@ -157,8 +157,8 @@ function answer({panels, robots, numbers}) {
       const use = useOf(makeMap(panel), robot, known);
       return [[...use.refused], [...use.barriers]];
     }))),
-    routes: panels.map((panel) => robots.map((robot, i) => [false, true].map((known) => {
-      const map = makeMap(panel), use = useOf(map, robot, known, panel.uses[i]);
+    routes: panels.map((panel) => robots.map((robot) => [false, true].map((known) => {
+      const map = makeMap(panel), use = useOf(map, robot, known);
       return panel.pairs.map(([start, end]) => routeOf(map, use, start, end));
     }))),
   };
@@ -231,8 +231,7 @@ def both(tmp_path_factory):
         found = [routes.routes(btm, robots, asked, known_only=known) for known in (False, True)]
         maps.append((btm, pairs, found))
         panels.append({**panel_of(btm), "pairs": pairs})
-    for panel, (btm, _, _) in zip(panels, maps):  # the third robot has no name that the page knows
-        panel["uses"].append(None)
+    for panel, (btm, _, _) in zip(panels, maps):
         panel["nodes"] = rng.sample(panel["nodes"], len(btm.nodes))
     numbers = [(10 ** rng.uniform(-9, 20) * rng.choice([1, -1]), rng.randint(3, 17)) for _ in range(300)]
     numbers += [(value, digits) for value in (0.0, 2.125, 2.375, 0.125, 1e15 + 0.5, 99.95, 1e16, 5e-5, 1e5, 123456.5,

@@ -2,14 +2,14 @@
 
 import math
 import os
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterable
 
 import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from jexplore.config import InputError
+from jexplore.report.page.replay import FRONTIER, STATE, ReplayData
 from jexplore.report.plot import ARROW, MAP_RGB, round_length
 from jexplore.report.store import atomic
 
@@ -31,14 +31,14 @@ def _shrunk(classes, factor):
     return np.maximum.reduce([padded[row::factor, col::factor] for row, col in np.ndindex(factor, factor)])
 
 
-def frame_image(frame: Mapping[str, Any], *, cell_m: float) -> Image.Image:
-    """Draw one frame of an animation as a palette image; see `save_animation` for its fields.
+def frame_image(replay: ReplayData, number: int, codes: np.ndarray, caption: str) -> Image.Image:
+    """Draw a frame of a replay, its map of codes and a caption as a palette image.
 
     A cell is drawn as a square of whole pixels, as many as fit 640 pixels; maps of more than 640 cells are reduced by
     whole factors first, where a frontier wins over occupied, occupied over free and free over unknown. Below lie a
     band with the caption and a scale bar, and one with a legend.
     """
-    classes = np.where(frame["frontier"], np.uint8(_FRONTIER), np.asarray(frame["state"], dtype=np.uint8))
+    classes = np.where(codes & FRONTIER, np.uint8(_FRONTIER), codes & STATE)
     shrink = math.ceil(max(classes.shape) / _LONG_PX)
     classes = _shrunk(classes, shrink)[::-1]
     scale = max(1, _LONG_PX // max(classes.shape))
@@ -53,24 +53,24 @@ def frame_image(frame: Mapping[str, Any], *, cell_m: float) -> Image.Image:
     def pixel(row, col):
         return left + (col + 0.5) * per_cell, height - (row + 0.5) * per_cell
 
-    robots = [frame, *frame.get("others", ())]
-    for robot in robots:
-        points = [pixel(row, col) for row, col in zip(robot["rows"], robot["cols"])]
+    robots = [(robot, int(robot.steps[number])) for robot in (replay, *replay.others)]
+    for robot, step in robots:
+        points = [pixel(row, col) for row, col in zip(robot.rows[: step + 1], robot.cols[: step + 1])]
         if len(points) > 1:
             draw.line(points, fill=_rgb(_PATH), width=max(1, min(3, scale // 2)))
-    size = min(max(6.0, 0.3 / cell_m * per_cell), 14.0)
-    for robot in robots:
-        if robot["target"] is not None:
-            x, y = pixel(*robot["target"])
+    size = min(max(6.0, 0.3 / replay.cell_m * per_cell), 14.0)
+    for robot, _ in robots:
+        if robot.target[number, 0] >= 0:
+            x, y = pixel(*robot.target[number])
             draw.ellipse((x - size, y - size, x + size, y + size), outline=_rgb(_TARGET), width=3)
-    for robot in robots:
-        x, y = pixel(robot["row"], robot["col"])
-        cos, sin = math.cos(math.radians(robot["heading_deg"])), math.sin(math.radians(robot["heading_deg"]))
+    for robot, step in robots:
+        (x, y), heading = pixel(robot.rows[step], robot.cols[step]), math.radians(robot.heading_deg[number])
+        cos, sin = math.cos(heading), math.sin(heading)
         arrow = [
             (x + size * (u * cos - v * sin), y - size * (u * sin + v * cos)) for u, v in np.asarray(ARROW.vertices)[:-1]
         ]
         draw.polygon(arrow, fill=_rgb(_ROBOT), outline=_rgb(_OCCUPIED))
-    _draw_band(image, draw, frame["caption"], cell_m / per_cell, height + _BAND_PX // 2)
+    _draw_band(image, draw, caption, replay.cell_m / per_cell, height + _BAND_PX // 2)
     _draw_legend(draw, height + 3 * _BAND_PX // 2)
     palette = Image.new("P", (1, 1))
     palette.putpalette(_GIF_PALETTE.tobytes())
@@ -92,7 +92,7 @@ def _draw_band(image, draw, caption, metres_a_pixel, y):
     draw.line((left, y, right, y), fill=black, width=2)
     for x in (left, right):
         draw.line((x, y - 4, x, y + 4), fill=black)
-    text = " ".join(str(caption).split())
+    text = caption
     while text and font.getlength(text) > label_left - 20:
         text = text[:-2].rstrip("…") + "…" if len(text) > 2 else ""
     draw.text((8, y), text, black, font, anchor="lm")
@@ -112,32 +112,32 @@ def _draw_legend(draw, y):
 
 
 def save_animation(
-    frames: Iterable[Mapping[str, Any]], path: str | os.PathLike[str], *, cell_m: float, fps: float = 12
-) -> None:
+    replay: ReplayData, captions: Iterable[str], path: str | os.PathLike[str], *, fps: float = 12,
+    on_progress: Callable[[int], object] | None = None,
+) -> None:  # fmt: skip
     """Write an episode as a GIF, whole or not at all.
 
     It loops. All frames share one palette, so colours do not flicker. The last frame is held for two seconds.
 
     Args:
-      frames: iterable of one or more dicts: `state` `[H, W]` uint8; `frontier` `[H, W]` bool; `row`, `col`,
-        `heading_deg` of the robot; `target`, a `(row, col)` or None; `rows`, `cols` `[N]`, cells driven; `caption`,
-        text; of a team `others`, dicts of its other robots with the robot's entries. A frame is drawn before the next
-        one is asked for.
+      captions: of all frames.
       path: the file, with the ending .gif or none.
-      cell_m: edge of a cell, metres.
       fps: frames a second, above 0 and at most 50.
+      on_progress: called with 1 for each frame drawn.
 
     Raises:
-      ValueError: no frames, or a rate out of bounds.
+      ValueError: a rate out of bounds.
     """
     if not 0 < fps <= 50:
         raise ValueError(f"expected 0 < fps <= 50, got {fps!r}")
     ending = os.path.splitext(path)[1].lower()
     if ending not in (".gif", ""):
         raise InputError(f"{path} must end in .gif, got {ending}")
-    images = [frame_image(frame, cell_m=cell_m) for frame in frames]
-    if not images:
-        raise ValueError("expected one or more frames, got none")
+    images = []
+    for number, (codes, caption) in enumerate(zip(replay.maps(), captions)):
+        images.append(frame_image(replay, number, codes, caption))
+        if on_progress is not None:
+            on_progress(1)
     first, *rest = images
     durations = [round(100 / fps) * 10] * len(rest) + [round(1000 * _HOLD_S)]
     with atomic(path) as part:

@@ -91,13 +91,13 @@ class RunFolder:
         comes after, the new run is there. The units of a finished run are removed.
         """
         with _staged(self.path, contents) as stage:
-            _taken(self.path, True)
+            self.require_free(allowed=True)
             self._keeps = True
             try:
                 os.replace(stage, self.path / READY)
-                _install(self.path)
+                self._install()
             except KeyboardInterrupt:
-                _install(self.path)
+                self._install()
                 raise
         if is_finished:
             self.forget()
@@ -116,9 +116,30 @@ class RunFolder:
             for file in stage.iterdir():
                 os.replace(file, self.path / file.name)
 
-    def require_free(self, *, allowed: bool = False) -> None:
-        """Refuse a folder that holds a run, unless that is allowed."""
-        _taken(self.path, allowed)
+    def require_free(self, *, allowed: bool = False) -> list[Path]:
+        """Return the files of a run in the folder; refuse them unless they are allowed."""
+        taken = [self.path / name for name in OUR_FILES if os.path.lexists(self.path / name)]
+        for file in taken:
+            if not allowed:
+                raise InputError(
+                    f"{self.path} holds a run ({file.name}): choose another folder or allow overwriting (--overwrite)"
+                )
+            if file.is_dir():
+                raise InputError(f"{file} must be a file to be overwritten, got a folder")
+        return taken
+
+    def _install(self):
+        """Put the run that is ready in place of the old one. Each step may be the last before the same begins anew."""
+        ready, moving = self.path / READY, self.path / MOVING
+        if ready.is_dir():
+            for file in self.require_free(allowed=True):  # run.json, the first of `OUR_FILES`, before all others
+                file.unlink()
+            os.replace(ready, moving)
+        if moving.is_dir():
+            for file in sorted(moving.iterdir(), key=lambda file: file.name == "run.json"):  # if it is there, all are
+                os.replace(file, self.path / file.name)
+            moving.rmdir()
+            sync_folder(self.path)
 
     def claim(self, *, is_new: bool) -> None:
         """Make the folder and its parents, lock it, and complete what its last holder was killed at."""
@@ -131,7 +152,7 @@ class RunFolder:
                     folder.mkdir(exist_ok=not own)
                     self._made.append(folder)
             self._take_lock(self.path / LOCK)
-            _install(self.path)
+            self._install()
         for stage in self.path.glob(f".*{STAGED}"):
             shutil.rmtree(stage, ignore_errors=True)
 
@@ -225,19 +246,6 @@ def _writable(path, *kinds):
         raise InputError(f"{str(path)!r} must be a folder that can be written: {reason(error)}") from error
 
 
-def _taken(path, allowed):
-    """Return the files of a run in a folder: a list of `Path`s; refuse them unless they are allowed."""
-    taken = [path / name for name in OUR_FILES if os.path.lexists(path / name)]
-    for file in taken:
-        if not allowed:
-            raise InputError(
-                f"{path} holds a run ({file.name}): choose another folder or allow overwriting (--overwrite)"
-            )
-        if file.is_dir():
-            raise InputError(f"{file} must be a file to be overwritten, got a folder")
-    return taken
-
-
 def _is_locked(handle):
     """Lock an open file; return whether that succeeded, True on systems without locks."""
     try:
@@ -249,20 +257,6 @@ def _is_locked(handle):
     except (ImportError, OSError):  # a system, or a file system, without locks
         return True
     return True
-
-
-def _install(folder):
-    """Put the run that is ready in place of the old one. Each step may be the last before the same begins anew."""
-    ready, moving = folder / READY, folder / MOVING
-    if ready.is_dir():
-        for file in _taken(folder, True):  # run.json, the first of `OUR_FILES`, before all others
-            file.unlink()
-        os.replace(ready, moving)
-    if moving.is_dir():
-        for file in sorted(moving.iterdir(), key=lambda file: file.name == "run.json"):  # if it exists, the rest does
-            os.replace(file, folder / file.name)
-        moving.rmdir()
-        sync_folder(folder)
 
 
 def _hidden(folder):

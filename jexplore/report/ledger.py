@@ -9,7 +9,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from jexplore.arrays.files import opened, read_json
 from jexplore.config import InputError, InputWarning
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 ASKED_FILE = "asked.json"  # what the run is asked, in the folder of its units
-UnitResult = TypeVar("UnitResult")  # of a unit
 
 
 class Ledger:
@@ -69,31 +68,31 @@ def _unchanged(table: Any) -> Any:
     return table
 
 
-class Work(Generic[UnitResult]):
-    """Units of a run: the results of those that are finished, and the numbers of those that are left."""
+class Work:
+    """Units of a run: the tables of those that are finished, and the numbers of those that are left."""
 
-    done: dict[int, UnitResult]
+    done: "dict[int, pd.DataFrame]"
     left: list[int]
 
     def __init__(
         self, numbers: Iterable[int], ledger: Ledger | None = None,
-        to_table: Callable[[UnitResult], "pd.DataFrame"] = _unchanged,
-        of_table: Callable[["pd.DataFrame"], UnitResult] = _unchanged,
+        to_file: Callable[["pd.DataFrame"], "pd.DataFrame"] = _unchanged,
+        of_file: Callable[["pd.DataFrame"], "pd.DataFrame"] = _unchanged,
     ) -> None:  # fmt: skip
-        """Read the finished units, of these numbers, of a ledger; `of_table` reverses `to_table`."""
-        self._ledger, self._to_table, numbers = ledger, to_table, list(numbers)
-        self.done = {} if ledger is None else {i: of_table(ledger.done[i]) for i in numbers if i in ledger.done}
+        """Read the finished units, of these numbers, of a ledger; `of_file` reverses `to_file`."""
+        self._ledger, self._to_file, numbers = ledger, to_file, list(numbers)
+        self.done = {} if ledger is None else {i: of_file(ledger.done[i]) for i in numbers if i in ledger.done}
         self.left = [i for i in numbers if i not in self.done]
 
-    def put(self, number: int, found: UnitResult) -> None:
-        """Take the results of a unit, which the ledger then has."""
+    def put(self, number: int, found: "pd.DataFrame") -> None:
+        """Take the table of a unit, which the ledger then has."""
         if self._ledger is not None:
-            self._ledger.put(number, self._to_table(found))
+            self._ledger.put(number, self._to_file(found))
         self.done[number] = found
 
     @property
-    def results(self) -> list[UnitResult]:
-        """Return the results of the finished units, in order."""
+    def results(self) -> "list[pd.DataFrame]":
+        """Return the tables of the finished units, in order."""
         return [self.done[i] for i in sorted(self.done)]
 
 

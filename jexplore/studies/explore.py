@@ -26,7 +26,7 @@ from jexplore.exploration.team.team import Starts
 from jexplore.exploration.trail import Final
 from jexplore.policies import Strategy
 from jexplore.report import animate, plot
-from jexplore.report.page.replay import FRONTIER, STATE, ReplayData, evenly
+from jexplore.report.page.replay import ReplayData, evenly
 from jexplore.rules import Lidar, Rules
 from jexplore.studies import checks
 from jexplore.studies.replays import MAX_FRAMES, before_leaving, replay_data, why_no_replay
@@ -151,35 +151,17 @@ class EpisodeResult:
           fps: frames a second.
           on_progress: called with 1 for each frame drawn.
         """
-        animate.save_animation(self._pictures(max_frames, on_progress), path, cell_m=self.world.cell_m, fps=fps)
+        replay = self.replay if max_frames == MAX_FRAMES else replay_of(self, max_frames=max_frames)
+        driven_m, what = length_along_m(replay.rows, replay.cols, replay.cell_m)[replay.steps], "driven"
+        if replay.clock_m is not None:
+            driven_m, what = replay.clock_m, "on the clock"
+        captions = (f"{way:.1f} m {what}, {known:.0f} m² known" for way, known in zip(driven_m, replay.known_m2))
+        animate.save_animation(replay, captions, path, fps=fps, on_progress=on_progress)
 
     @functools.cached_property
     def replay(self) -> ReplayData:
         """Return the frames of its page, `MAX_FRAMES` at most."""
         return replay_of(self)
-
-    def _pictures(self, max_frames, on_progress):
-        replay = self.replay if max_frames == MAX_FRAMES else replay_of(self, max_frames=max_frames)
-        length_m = length_along_m(replay.rows, replay.cols, self.world.cell_m)
-        for i, codes in enumerate(replay.maps()):
-            first, *others = (_robot_at(robot, i) for robot in (replay, *replay.others))
-            way = f"{length_m[replay.steps[i]]:.1f} m driven"
-            way = way if replay.clock_m is None else f"{replay.clock_m[i]:.1f} m on the clock"
-            caption = f"{way}, {replay.known_m2[i]:.0f} m² known"
-            maps = {"state": codes & STATE, "frontier": codes & FRONTIER > 0}
-            yield {**first, **maps, "others": others, "caption": caption}
-            if on_progress is not None:
-                on_progress(1)
-
-
-def _robot_at(robot, frame):
-    """Return what an animation shows of a robot of a replay: see `animate.save_animation`."""
-    step, (row, col) = int(robot.steps[frame]), robot.target[frame].tolist()
-    return {
-        **{"rows": robot.rows[: step + 1], "cols": robot.cols[: step + 1], "row": robot.rows[step]},
-        **{"col": robot.cols[step], "heading_deg": int(robot.heading_deg[frame])},
-        "target": None if row < 0 else (row, col),
-    }
 
 
 @checked_names

@@ -1,5 +1,5 @@
 // What a robot may use of a map, and its shortest way: the rules of tracemap/passable.py and studies/traces/routes.py once
-// more, for robots that are typed into the page. Nothing here knows the page.
+// more. Nothing here knows the page.
 //
 // A map: nodes, links (in the order of their ids), ends (Map of node -> its ends of links), and byNode, byLink: Map of id ->
 // item. Measures that are not known are null. Of a link step_m and inclination_deg are those that count, length_mm is whole, metres its length, called its name in
@@ -60,19 +60,16 @@ function refusals(link, map, robot) {
     ...(link.end === NOWHERE ? hindrances(map.byNode.get(link.start), robot) : []),
   ]);
 }
-// What a robot may use: {robot, refused, barriers}, Maps of id -> reasons. `known`: those of a robot that are known already,
-// {refused, barriers}, objects.
-function useOf(map, robot, knownOnly, known = null) {
+// What a robot may use: {robot, refused, barriers}, Maps of id -> reasons.
+function useOf(map, robot, knownOnly) {
   const refused = new Map(), barriers = new Map();
   for (const link of map.links) {
-    const why = known ? known.refused[link.id] ?? [] : refusals(link, map, robot);
     const missing = link.end === NOWHERE ? map.byNode.get(link.start).unknown : link.unknown;
-    const all = reasons([...why, ...(knownOnly ? missing : [])]);
+    const all = reasons([...refusals(link, map, robot), ...(knownOnly ? missing : [])]);
     if (all.length) refused.set(link.id, all);
   }
   for (const node of [...map.nodes].sort((a, b) => a.id - b.id)) {
-    const why = known ? known.barriers[node.id] ?? [] : hindrances(node, robot);
-    const all = [...why, ...(knownOnly ? node.unknown : [])];
+    const all = [...hindrances(node, robot), ...(knownOnly ? node.unknown : [])];
     if (all.length) barriers.set(node.id, all);
   }
   return {robot, refused, barriers};

@@ -48,7 +48,7 @@ function ownRobot() {  // the one that is typed in, or what is wrong with it
 }
 function findUse() {
   const at = $("robot").value, given = at === OWN ? ownRobot() : {robot: data.robots[at]};
-  use = given.wrong ? {...given, refused: new Map(), barriers: new Map()} : useOf(current, given.robot, $("known").checked, at === OWN ? null : current.uses[at]);
+  use = given.wrong ? {...given, refused: new Map(), barriers: new Map()} : useOf(current, given.robot, $("known").checked);
 }
 function findRoute() {
   findUse();

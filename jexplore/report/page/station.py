@@ -1,7 +1,7 @@
 """A station's page: Behavioral Trace Maps of several robots as one web page on which routes are asked for."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from jexplore.report.page.assemble import map_page
@@ -32,25 +32,22 @@ def station_page(
 ) -> str:
     """Return maps as one HTML file: no network, no server, no other file. It is plain ASCII.
 
-    What the given robots may not use is found here; for a robot that is typed in the page repeats the comparisons.
-
     The first panel is shown large; `robots` can be chosen by name; `notes` are sentences, such as what the maps say
-    differently.
+    differently. The page finds what a robot may use.
     """
     writers = list(dict.fromkeys(writer for panel in panels for writer in sources_of(panel.map, panel.name)))
     data = {
         "robots": [{name: getattr(robot, name) for name in MEASURES} for robot in robots],
         "writers": writers,
         "notes": list(notes),
-        "panels": [_panel(panel, robots) for panel in panels],
+        "panels": [_panel(panel) for panel in panels],
     }
     return map_page("station", title, data, ("routes.js", "station.js", "station_side.js"))
 
 
-def _panel(panel: MapPanel, robots: Sequence[passable.RobotBody]) -> dict[str, Any]:
+def _panel(panel: MapPanel) -> dict[str, Any]:
     """Return a map's data for the page, plain JSON types; ids as keys become text."""
     btm, index = panel.map, MapIndex(panel.map)
-    nodes = index.nodes
     about = {key: value for key, value in btm.attributes.items() if key not in (MERGED_FROM, passable.CONFLICTS)}
     return {
         "name": panel.name,
@@ -60,18 +57,7 @@ def _panel(panel: MapPanel, robots: Sequence[passable.RobotBody]) -> dict[str, A
         "conflicts": btm.attributes.get(passable.CONFLICTS, {}),
         "nodes": [_node(node, panel) for node in btm.nodes],
         "links": [_link(link, panel, index) for link in btm.links],
-        "uses": [
-            {
-                "refused": _reasons({link.id: passable.refusals(link, nodes, robot) for link in btm.links}),
-                "barriers": _reasons({node.id: passable.hindrances(node, robot) for node in btm.nodes}),
-            }
-            for robot in robots
-        ],
     }
-
-
-def _reasons(of: Mapping[int, Sequence[str]]) -> dict[str, list[str]]:
-    return {str(key): list(why) for key, why in of.items() if why}
 
 
 def _item(item: Node | Link, panel: MapPanel) -> dict[str, Any]:

@@ -75,14 +75,12 @@ def _estimate(ax, row, value, low, high, look):
     return ax.errorbar([value], [row], xerr=ends, fmt=look["marker"], **style)
 
 
-def draw_ratios(ax: Axes, estimates: Estimates, looks: Sequence[dict[str, Any]], *,
-                points: Sequence[Any] | None = None) -> list[Any]:  # fmt: skip
+def draw_ratios(ax: Axes, estimates: Estimates, looks: Sequence[dict[str, Any]], points: Sequence[Any]) -> list[Any]:
     """Draw a row for each strategy: its ratio to the first one with the interval, on a logarithmic axis.
 
     The axis shows all ratios; an interval that goes on beyond it ends in an arrow head. `points` are K arrays of single
     ratios, drawn pale. Return K error bars, None where there is no ratio.
     """
-    points = [np.zeros(0)] * len(looks) if points is None else points
     ax.axvline(1.0, color=GREY, linewidth=1, zorder=0)
     bars = draw_points(ax, points, estimates, looks)
     shown = np.concatenate([np.ravel(estimates.values), *map(np.ravel, points)])
@@ -135,7 +133,7 @@ def comparison_figure(panels: Sequence[ComparisonPanel], strategies: Sequence[st
             continue
         panel, lowest = panels[number], number + n_cols >= len(panels)
         draw_panel(left, panel, strategies)
-        draw_ratios(right, panel.ratios, looks, points=panel.ratio_points)
+        draw_ratios(right, panel.ratios, looks, panel.ratio_points)
         if number % n_cols > 0:
             left.set_yticklabels([])
         same_below = not lowest and panels[number + n_cols].label == panel.label

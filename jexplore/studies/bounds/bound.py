@@ -269,7 +269,7 @@ def run_bounds(
     """
     workers = min(own_cores() if workers is None else require_setting("workers", workers), len(tasks))
     numbers = range(first, first + len(tasks))
-    work: Work[pd.DataFrame] = Work(numbers, ledger)
+    work = Work(numbers, ledger)
     tasks_of = dict(zip(numbers, tasks))
 
     def take(number, found):

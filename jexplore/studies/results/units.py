@@ -139,7 +139,7 @@ def run_units(
       KeyboardInterrupt: no unit has been finished.
     """
     asked = range(len(units)) if numbers is None else numbers
-    work: Work[pd.DataFrame] = Work(asked, ledger, details.to_file, details.of_file)
+    work = Work(asked, ledger, details.to_file, details.of_file)
     resumed = sum(map(len, (*earlier, *work.done.values())))
     costs, done = Costs(), resumed
     for window in windows(work.left) if work.left else ():

@@ -101,7 +101,7 @@ def execute(
     if plan.perception == "map":
         require_cpu(engine, lanes)
     blocks, (setting, which) = run_blocks(plan), plan.all_runs()
-    work: Work[pd.DataFrame] = Work(range(len(blocks)), ledger)
+    work = Work(range(len(blocks)), ledger)
     resumed, costs, maps = sum(map(len, work.done.values())), Costs(), {}
 
     def put(place, result, driven):
