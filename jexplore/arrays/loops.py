@@ -64,6 +64,20 @@ def put(tree: Any, at: Array, values: Any) -> Any:
     return jax.tree.map(lambda a, new: a.at[at].set(new, mode="drop", unique_indices=True), tree, values)
 
 
+def take_one(tree: Any, i: Array | int) -> Any:
+    """Return entry i, at least 0, of the leading axis of a pytree."""
+    return jax.tree.map(lambda a: lax.dynamic_index_in_dim(a, i, 0, False, allow_negative_indices=False), tree)
+
+
+def put_one(tree: Any, i: Array | int, one: Any) -> Any:
+    """Replace entry i, at least 0, of the leading axis of a pytree. Scatters would take longer to compile."""
+
+    def put(lanes: Array, new: Any) -> Array:
+        return lax.dynamic_update_index_in_dim(lanes, jnp.asarray(new, lanes.dtype), i, 0, allow_negative_indices=False)
+
+    return jax.tree.map(put, tree, one)
+
+
 def first_lanes(mask: Array, m: int) -> Array:
     """Return the first m lanes of a mask: `[m]` int32; the number of lanes where there are fewer."""
     n = mask.shape[0]

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from jexplore.arrays.loops import put_one, take_one
 from jexplore.engine.devices import Device, compiled, random_key
 from jexplore.engine.program import Given, Line, Program
 from jexplore.engine.threads import Pieces
@@ -47,18 +48,13 @@ def chunk(
 
     def one(i: Any) -> tuple[Any, Any]:
         key = jax.random.fold_in(random_key(seed), draws[i])
-        task = jax.tree.map(lambda a: lax.dynamic_index_in_dim(a, i, 0, False, allow_negative_indices=False), tasks)
-        given = Given(key, shared, scenes, jnp.int32(0), numbers, task)
+        given = Given(key, shared, scenes, jnp.int32(0), numbers, take_one(tasks, i))
         state = run_one(program, given)
         return program.measure(given, state), program.detail(state)
 
-    def put(all_: Any, i: Any, new: Any) -> Array:
-        # A scatter, one for every part of a result, would take longer to compile.
-        return lax.dynamic_update_index_in_dim(all_, jnp.asarray(new, all_.dtype), i, 0, allow_negative_indices=False)
-
     def add(i: Any, found: tuple[Any, Any]) -> tuple[Any, Any]:
         result, last = one(i)
-        return jax.tree.map(lambda all_, new: put(all_, i, new), found[0], result), last
+        return put_one(found[0], i, result), last
 
     result, last = jax.eval_shape(one, 0)
     room = jax.tree.map(lambda a: jnp.zeros((draws.shape[0], *a.shape), a.dtype), result)

@@ -1,6 +1,5 @@
 """Many exploration episodes: strategies in worlds, in native code where it can and in JAX, with equal results."""
 
-import functools
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -17,7 +16,7 @@ from jexplore.exploration.site import ROBOT, Site, drive_for, line_of, prepare_s
 from jexplore.exploration.state import Numbers, Result, Setup
 from jexplore.exploration.team.episode import decode as decode_team
 from jexplore.exploration.team.episode import team_line
-from jexplore.exploration.team.starts import place_team
+from jexplore.exploration.team.starts import place_teams
 from jexplore.exploration.team.team import Team
 from jexplore.exploration.trail import Final, Record, decode
 from jexplore.native.build import Library, warn_once
@@ -205,11 +204,7 @@ def _lines(
         if job.team is None:
             line = line_of(sites[place], fitted[key], job.starts, job.seed, which, detailed=detailed, keep=keep)
         else:
-            near = {"clearance_m": rules.clearance_m, "near_m": rules.near_m}
-            each = functools.cache(
-                functools.partial(place_team, job.world, n=job.team.robots, starts=job.team.starts, **near)
-            )
-            starts = np.stack([each(tuple(start)) for start in job.starts.tolist()])
+            starts = place_teams(job.world, job.starts, job.team, rules)
             line = team_line(sites[place], fitted[key], job.team, lidar, starts, job.seed, which, detailed)
         line.draws, line.phase = line.draws + np.int32(job.first), job.phase
         lines[i] = line

@@ -1,13 +1,13 @@
 """An exploration episode as a program of the engine: from the first scan to a named outcome, and what it measured."""
 
 import jax.numpy as jnp
-from jax import Array, lax
+from jax import Array
 
 from jexplore.engine.program import Given, Program
 from jexplore.exploration import environment, metrics
 from jexplore.exploration.motion import tick
-from jexplore.exploration.sensing import explorable_and_knowable, shares
-from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result, Setup, State
+from jexplore.exploration.sensing import explorable_and_knowable, first_known
+from jexplore.exploration.state import Outcome, Result, Setup, State
 from jexplore.exploration.trail import LOOKS, RECORDS, Trail, detail_of
 from jexplore.exploration.uncertain.pursuit import brake
 from jexplore.grid import is_known
@@ -34,20 +34,12 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
     cell = state.trail[:, Trail.SPOT] // LOOKS
     start = cell[0] // shape[1], cell[0] % shape[1]
     explorable, knowable = explorable_and_knowable(given, *start, state.belief.within)
-    steps, outcome = state.steps, environment.outcome_of(state)
-    # Cells known after each step, which never become fewer; what lies beyond the last step was never reached.
-    entry = lax.iota(jnp.int32, state.trail.shape[0])
-    so_far = jnp.where(entry < steps, state.trail[:, Trail.KNOWN], jnp.iinfo(jnp.int32).max)
-    # In whole numbers: the least count of which 100 times reaches q times the whole.
-    at = jnp.searchsorted(so_far, shares(jnp.array(PERCENTILES), 100, state.n_known)).astype(jnp.int32)
-    at = jnp.minimum(at, steps)
-    marks = shares(lax.iota(jnp.int32, MARKS) + 1, MARKS, knowable)
-    along = jnp.minimum(jnp.searchsorted(so_far, marks).astype(jnp.int32), steps)
+    outcome = environment.outcome_of(state)
+    at, along, reached = first_known(state.trail[:, Trail.KNOWN], state.steps, state.n_known, knowable)
     # A step to the next column or the next row is straight.
     jump = jnp.abs(cell[1:] - cell[:-1])
     is_diagonal = (jump != 1) & (jump != shape[1])
     n_diagonal = jnp.concatenate([jnp.zeros(1, jnp.int32), jnp.cumsum(is_diagonal, dtype=jnp.int32)])
-    reached = (marks > 0) & (marks <= state.n_known)
     diagonal_at = n_diagonal[at]
     # In the end the robot brakes.
     end = tick(given.numbers.clock, state, state.heading, jnp.bool_(False), jnp.bool_(True), 0)

@@ -11,7 +11,7 @@ from jexplore.arrays import bits
 from jexplore.arrays.loops import one_kernel, stored
 from jexplore.distance import within_packed
 from jexplore.engine.program import Given
-from jexplore.exploration.state import NEVER, WHOLE, Setup, State, Stream
+from jexplore.exploration.state import MARKS, NEVER, PERCENTILES, WHOLE, Setup, State, Stream
 from jexplore.frontier import disc
 from jexplore.grid import Grid, beside, bordered, count, empty_grid, is_known
 from jexplore.planning import MapModel
@@ -76,6 +76,21 @@ def shares(parts: Array, whole: int, n: Array) -> Array:
     """Return the least counts that are at least `parts / whole` of n: int32. No product overflows."""
     quotient, rest = n // whole, n % whole
     return parts * quotient + -(-parts * rest // whole)
+
+
+def first_known(known: Array, last: Array, n_known: Array, knowable: Array) -> tuple[Array, Array, Array]:
+    """Return where a record of known cells, which never become fewer, first has some shares: `(at, along, reached)`.
+
+    `[4]` int32, those of `PERCENTILES` of `n_known`; `[MARKS]` int32, those of the cells that can be known, and bool,
+    whether it has them at all. `last`: number of its last entry.
+    """
+    # What lies beyond the last entry was never reached.
+    so_far = jnp.where(lax.iota(jnp.int32, known.shape[0]) < last, known, jnp.iinfo(jnp.int32).max)
+    marks = shares(lax.iota(jnp.int32, MARKS) + 1, MARKS, knowable)
+    # In whole numbers: the least count of which 100 times reaches q times the whole.
+    wanted = shares(jnp.array(PERCENTILES), 100, n_known), marks
+    at, along = (jnp.minimum(jnp.searchsorted(so_far, counts).astype(jnp.int32), last) for counts in wanted)
+    return at, along, (marks > 0) & (marks <= n_known)
 
 
 def explorable_and_knowable(given: Given, row: Array, col: Array, within: Array | None) -> tuple[Array, Array]:

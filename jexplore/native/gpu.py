@@ -34,12 +34,12 @@ class Played(NamedTuple):
     measured: Measured
 
 
-def load_gpu(arch: str = "native", flags: Sequence[str] = ()) -> Library:
-    """Return the library for a kind of GPU, built if need be; `arch` as nvcc names it ("sm_90"), or this machine's.
+def load_gpu(flags: Sequence[str] = ()) -> Library:
+    """Return the library for this machine's kind of GPU, built if need be.
 
     `flags`: of nvcc, besides `FLAGS`; "-DJEXPLORE_CLOCKS" has the time of each part told.
     """
-    found = load_library(SOURCES, (*FLAGS, f"-arch={arch}", *flags), "NVCC", COMPILERS)
+    found = load_library(SOURCES, (*FLAGS, "-arch=native", *flags), "NVCC", COMPILERS)
     if found.loaded is not None:
         found.loaded.jexplore_gpu_episodes.argtypes = [
             POINTER(Spec), c_void_p, c_void_p, c_int64, c_void_p, c_void_p, c_int, POINTER(Measured), c_char_p,

@@ -21,7 +21,7 @@ from jexplore.exploration.replay import Moment, moments
 from jexplore.exploration.results import length_along_m, map_state
 from jexplore.exploration.site import prepare_site
 from jexplore.exploration.team.jobs import Coordinate
-from jexplore.exploration.team.replay import last_clock
+from jexplore.exploration.team.replay import known_at, last_clock
 from jexplore.exploration.team.team import Starts
 from jexplore.exploration.trail import Final
 from jexplore.policies import Strategy
@@ -77,10 +77,9 @@ class EpisodeResult:
         path_m = length_along_m(final.rows, final.cols, cell_m) if final.poses is None else final.poses[:, 0]
         known_cells = final.n_known
         if final.seen_at is not None:
-            clocks = np.array(evenly(last_clock(final), MAX_FRAMES))
-            path_m = clocks / LENGTHS[0] * cell_m
-            seen_at = final.seen_at.ravel() if self.world.within is None else final.seen_at[self.world.within]
-            known_cells = np.searchsorted(np.sort(seen_at), clocks, side="right")
+            clocks = evenly(last_clock(final), MAX_FRAMES)
+            path_m = np.array(clocks) / LENGTHS[0] * cell_m
+            known_cells = known_at(final, self.world.within, clocks)
         return plot.episode_figure(
             *(map_state(final.hits, final.misses, self.rules.p_free), rows, cols, cell_m),
             estimate=estimate,

@@ -15,11 +15,12 @@ from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.runner import own_cores
 from jexplore.exploration import batch
 from jexplore.exploration.batch import Job
+from jexplore.exploration.motion import LENGTHS
 from jexplore.exploration.native import show_episode
 from jexplore.exploration.replay import Moment, moments
 from jexplore.exploration.site import prepare_site
 from jexplore.exploration.state import Outcome
-from jexplore.exploration.team.replay import last_clock, team_frames
+from jexplore.exploration.team.replay import known_at, last_clock, robot_at, team_beliefs
 from jexplore.exploration.trail import Final
 from jexplore.grid import is_free, is_occupied
 from jexplore.planning import field
@@ -101,22 +102,16 @@ def replay_data(
 
 def _team_parts(site, world, strategy, final, start, max_frames):
     """Return what `ReplayData` has of the ways and maps of a team, evenly spaced in time."""
-    frames = list(team_frames(site, strategy, final, start, evenly(last_clock(final), max_frames)))
-    images = (within(np.asarray(_codes(frame.belief)), world.shape, site.ring) for frame in frames)
-    first, *others = (
-        {
-            **{"rows": way[:, 0], "cols": way[:, 1], "steps": np.array([robot.step for robot in states])},
-            "heading_deg": np.array([robot.heading_deg for robot in states]),
-            "target": np.array([robot.target or (-1, -1) for robot in states]),
-        }
-        for way, states in zip(final.ways, zip(*(frame.robots for frame in frames)))
-    )
+    clocks = evenly(last_clock(final), max_frames)
+    beliefs = team_beliefs(site, strategy, final, start, clocks)
+    images = (within(np.asarray(_codes(belief)), world.shape, site.ring) for belief in beliefs)
+    first, *others = (robot_at(way, clocks, start[2]) for way in final.ways)
     return first | {
         "until": first["steps"],
-        "known_m2": np.array([frame.n_known for frame in frames]) * world.cell_m**2,
+        "known_m2": known_at(final, world.within, clocks) * world.cell_m**2,
         "changes": tuple(changes_of(images)),
         "others": tuple(RobotReplay(**other) for other in others),
-        "clock_m": np.array([frame.clock_m for frame in frames]),
+        "clock_m": np.array(clocks) / LENGTHS[0] * float(site.numbers.model.cell_m),
     }
 
 

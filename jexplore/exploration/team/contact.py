@@ -5,12 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from jexplore.arrays.loops import run_if
+from jexplore.arrays.loops import put_one, run_if, take_one
 from jexplore.engine.program import Given
 from jexplore.exploration.motion import LENGTHS, STEP, tick
 from jexplore.exploration.sensing import known_cells, stacked
 from jexplore.exploration.state import State, Stream
-from jexplore.exploration.team.state import TeamState, counts, is_exploring, own_cells, put, take
+from jexplore.exploration.team.state import TeamState, counts, is_exploring, own_cells
 from jexplore.grid import Grid
 
 
@@ -67,7 +67,7 @@ def _exchange(maps: tuple[State, Array, Array], heard: Array) -> tuple[State, Ar
     belief = robots.belief
     grid = Grid(shared(belief.grid.hits), shared(belief.grid.misses))
     first = jnp.argmax(heard)
-    n_known = known_cells(take(grid, first), None if belief.within is None else belief.within[0])
+    n_known = known_cells(take_one(grid, first), None if belief.within is None else belief.within[0])
     belief = belief.replace(grid=grid, exhausted=shared(belief.exhausted))
     return robots.replace(belief=belief, n_known=jnp.where(heard, n_known, robots.n_known)), own, counts(grid)
 
@@ -106,10 +106,10 @@ def come_together(given: Given, team: TeamState, i: Array) -> tuple[TeamState, A
 
 def wait(given: Given, team: TeamState, i: Array) -> TeamState:
     """Have a robot stand for the time of a straight step."""
-    state, table = take(team.robots, i), given.numbers.clock
+    state, table = take_one(team.robots, i), given.numbers.clock
     time = tick(table, state, state.heading, jnp.bool_(False), jnp.bool_(True), table[STEP])
     return team.replace(
-        robots=put(team.robots, i, state.replace(**time)),
+        robots=put_one(team.robots, i, state.replace(**time)),
         waits=team.waits.at[i].add(1),
         clock=team.clock.at[i].add(LENGTHS[0] * given.task.paces[i]),
         hemmed=team.hemmed.at[i].set(False),

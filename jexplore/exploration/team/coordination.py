@@ -14,12 +14,12 @@ from flax import struct
 from jax import Array, lax
 from optax.assignment import hungarian_algorithm
 
-from jexplore.arrays.loops import run_if, stored
+from jexplore.arrays.loops import run_if
 from jexplore.config import checked_names
 from jexplore.frontier import frontier_clusters
 from jexplore.grid import is_free
-from jexplore.planning import Belief, Choice, Field, choose, field
-from jexplore.policies.catalogue.adapt import highest, require_scores
+from jexplore.planning import Belief, Choice, Field, field
+from jexplore.policies.catalogue.adapt import choose_highest
 from jexplore.policies.clusters import CLUSTERS
 from jexplore.raycast import Beams
 from jexplore.reach import FAR, STRAIGHT
@@ -61,9 +61,7 @@ class Coordination:
     def __call__(self, view: JointView, reached: Field, route: Array) -> tuple[Choice, Array]:
         """Choose a target and lay the way there: `(choice, route)`."""
         what = described(self.function)
-        score = require_scores(what, call_user(self.function, what, view), reached.cost.shape)
-        score = stored(view.robot >= 0, lambda: lax.optimization_barrier(score))
-        return choose(view.belief, route, reached, *highest(score, reached))
+        return choose_highest(what, call_user(self.function, what, view), view.belief, reached, route)[:2]
 
 
 def joint_view(

@@ -30,7 +30,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jexplore.arrays.loops import run_if
+from jexplore.arrays.loops import put_one, run_if, take_one
 from jexplore.engine.program import Given
 from jexplore.exploration import environment
 from jexplore.exploration.motion import LENGTHS, motion_step
@@ -47,8 +47,6 @@ from jexplore.exploration.team.state import (
     is_exploring,
     next_robot,
     paced_ms,
-    put,
-    take,
 )
 from jexplore.grid import Grid, count, is_known
 from jexplore.native.drive import take_turns
@@ -91,7 +89,7 @@ def begin(setup: TeamSetup, given: Given) -> TeamState:
         links=zero,
         way=way.at[:, 0, 0].set(robots.row * shape[1] + robots.col),
     )
-    return _note(given, team, zero, take(robots, 0), jnp.bool_(True))
+    return _note(given, team, zero, take_one(robots, 0), jnp.bool_(True))
 
 
 def _note(given: Given, team: TeamState, i: Array, before: State, grew: Array) -> TeamState:
@@ -129,7 +127,7 @@ def _hemmed_in(team: TeamState, i: Array, belief: Belief) -> Belief:
     at = jnp.where(near & team.hemmed[i], rows, belief.driven.shape[0]), cols
     grid = Grid(belief.grid.hits.at[at].set(1, mode="drop"), belief.grid.misses.at[at].set(0, mode="drop"))
     driven = belief.driven.at[at].set(False, mode="drop")
-    return belief.replace(grid=grid, driven=driven, exhausted=belief.exhausted | take(team.shunned, i))
+    return belief.replace(grid=grid, driven=driven, exhausted=belief.exhausted | take_one(team.shunned, i))
 
 
 def _farthest(belief: Belief, route: Array) -> tuple[Choice, Array]:
@@ -170,7 +168,7 @@ def decide(setup: TeamSetup, given: Given, team: TeamState) -> TeamState:
 
 def _plan(setup: TeamSetup, given: Given, team: TeamState, i: Array, heard: Array, is_due: Array) -> TeamState:
     """Have a robot plan, and make the first motion; `is_due`: it is to go to the rendezvous, unless it has ended."""
-    own, state = given_of_robot(given, i), take(team.robots, i)
+    own, state = given_of_robot(given, i), take_one(team.robots, i)
     if setup.n == 1:
         carry, choice, route = _ask(setup, own, team, i, state, heard)
         live: Any = True
@@ -206,7 +204,7 @@ def advance(setup: TeamSetup, given: Given, team: TeamState) -> TeamState:
         goes_on = False if setup.meets else (setup.n == 1) | given.task.contact.is_always
         own, n_heard = functools.partial(given_of_robot, given), jnp.sum(heard)
         return take_turns(setup, given, own, team, i, n_heard, goes_on)
-    own, state = given_of_robot(given, i), take(team.robots, i)
+    own, state = given_of_robot(given, i), take_one(team.robots, i)
     held = is_held(team, i, state.route[state.belief.row, state.belief.col])
     after = environment.advance(setup.robot, own, state, held)
     # What a robot knew before is in `seen_at`.
@@ -234,7 +232,7 @@ def act(
     target = jnp.where(after.target[0] < 0, -1, after.target[0] * after.shape[1] + after.target[1])
     here = jnp.stack([after.row * after.shape[1] + after.col, clock, target])
     return team.replace(
-        robots=put(team.robots, i, after),
+        robots=put_one(team.robots, i, after),
         clock=team.clock.at[i].set(clock),
         waits=waits,
         hemmed=team.hemmed.at[i].set(gives_up),

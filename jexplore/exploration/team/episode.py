@@ -8,15 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from jexplore.arrays.loops import take_one
 from jexplore.arrays.padding import within
 from jexplore.engine.program import Given, Line, Program
 from jexplore.exploration import environment
 from jexplore.exploration.episode import CPU_OPTIONS
 from jexplore.exploration.motion import tick
 from jexplore.exploration.results import energy_j, path_m
-from jexplore.exploration.sensing import explorable_and_knowable, shares
+from jexplore.exploration.sensing import explorable_and_knowable, first_known
 from jexplore.exploration.site import Site, tasks_of
-from jexplore.exploration.state import MARKS, PERCENTILES, Numbers, Result, Setup
+from jexplore.exploration.state import Numbers, Result, Setup
 from jexplore.exploration.team.environment import advance, begin, decide
 from jexplore.exploration.team.state import (
     ENDED,
@@ -28,7 +29,6 @@ from jexplore.exploration.team.state import (
     must_decide,
     own_cells,
     paced_ms,
-    take,
 )
 from jexplore.exploration.team.team import Contact, Team, read_contact
 from jexplore.exploration.trail import Final
@@ -59,19 +59,11 @@ def finish(setup: TeamSetup, given: Given, team: TeamState) -> Result:
     """
     robots, log = team.robots, team.log
     last = jnp.argmax(team.clock)
-    start = take(robots.belief.start, 0)
+    start = take_one(robots.belief.start, 0)
     area = None if robots.belief.within is None else robots.belief.within[0]
     explorable, knowable = explorable_and_knowable(given_of_robot(given, 0), start[0], start[1], area)
-    so_far = jnp.where(lax.iota(jnp.int32, log.shape[0]) < team.n_log, log[:, 0], jnp.iinfo(jnp.int32).max)
-
-    def when(counts: Array) -> Array:
-        at = jnp.searchsorted(so_far, counts).astype(jnp.int32)
-        return log[jnp.minimum(at, team.n_log - 1)]
-
-    whole = when(team.n_known)[1:3]
-    at = when(shares(jnp.array(PERCENTILES), 100, team.n_known))
-    marks = shares(lax.iota(jnp.int32, MARKS) + 1, MARKS, knowable)
-    along = jnp.where(((marks > 0) & (marks <= team.n_known))[:, None], when(marks), -1)
+    at, along, reached = first_known(log[:, 0], team.n_log - 1, team.n_known, knowable)
+    at, along, whole = log[at], jnp.where(reached[:, None], log[along], -1), log[team.n_log - 1, 1:3]
     end = jax.vmap(lambda state: tick(given.numbers.clock, state, state.heading, jnp.bool_(False), jnp.bool_(True), 0))
     times, paces = end(robots), given.task.paces
     times["time_ms"] = paced_ms(times["time_ms"], paces)

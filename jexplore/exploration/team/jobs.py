@@ -7,7 +7,7 @@ import numpy as np
 
 from jexplore.config import InputError, shown
 from jexplore.exploration.batch import Job
-from jexplore.exploration.team.starts import place_team
+from jexplore.exploration.team.starts import place_teams
 from jexplore.exploration.team.team import (
     INDEPENDENT,
     Starts,
@@ -63,7 +63,7 @@ def team_jobs(
         robots_are = read_members(members, job.lidar)
         if robots_are and len(robots_are) != max(team.robots for team in teams):
             raise InputError(f"members must be one for each robot of the largest team, got {len(robots_are)}")
-        own, near = job.starts, {"clearance_m": job.rules.clearance_m, "near_m": job.rules.near_m}
+        own = job.starts
         for team in teams:
             if team.coordination is not None and not is_nearest(job.strategy.policy):
                 raise InputError(
@@ -72,8 +72,7 @@ def team_jobs(
                 )
             if not isinstance(team.starts, str):
                 own = np.tile(np.array(team.starts[:1]), (len(job.starts), 1))
-            for start in dict.fromkeys(map(tuple, own.tolist())):
-                place_team(job.world, start, team.robots, team.starts, **near)
+            place_teams(job.world, own, team, job.rules)
             name = team.label(job.strategy.name)
             team = team._replace(members=robots_are[: team.robots])
             made.append(job._replace(team=team, strategy=job.strategy._replace(name=name), starts=own))

@@ -1,9 +1,11 @@
 """Starts of the robots of a team: together at the first one's, apart, or given."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jexplore.config import InputError
-from jexplore.exploration.team.team import STARTS, Starts
+from jexplore.exploration.team.team import STARTS, Starts, Team
+from jexplore.rules import Rules
 from jexplore.worlds.starts import check_start, reached_from
 from jexplore.worlds.world import World
 
@@ -22,6 +24,18 @@ def steps_from(floor: np.ndarray, cell: tuple[int, int]) -> np.ndarray:
         beside = np.unique(np.concatenate([at + 1, at - 1, at + width + 2, at - width - 2]))
         at = beside[open_[beside] & (steps[beside] == _FAR)]
     return steps.reshape(walled.shape)[1:-1, 1:-1]
+
+
+def place_teams(world: World, starts: ArrayLike, team: Team, rules: Rules) -> np.ndarray:
+    """Return where the robots of teams start, `[N, robots, 3]` int32; `starts` are those of the first robots, `[N, 3]`.
+
+    Raises:
+      InputError: as `place_team`.
+    """
+    firsts = [tuple(start) for start in np.asarray(starts).tolist()]
+    near = {"clearance_m": rules.clearance_m, "near_m": rules.near_m}
+    placed = {start: place_team(world, start, team.robots, team.starts, **near) for start in dict.fromkeys(firsts)}
+    return np.stack([placed[start] for start in firsts])
 
 
 def place_team(

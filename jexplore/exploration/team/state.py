@@ -6,8 +6,9 @@ from typing import Any, ClassVar, NamedTuple, Self
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jax import Array, lax
+from jax import Array
 
+from jexplore.arrays.loops import take_one
 from jexplore.engine.program import Given
 from jexplore.exploration.motion import MOST_MS
 from jexplore.exploration.state import Outcome, Setup, State, Stream
@@ -70,16 +71,6 @@ def counts(grid: Grid) -> Array:
     return grid.hits + grid.misses
 
 
-def take(tree: Any, i: Array | int) -> Any:
-    """Return one robot's part of a pytree with a leading axis N."""
-    return jax.tree.map(lambda a: lax.dynamic_index_in_dim(a, i, 0, keepdims=False), tree)
-
-
-def put(tree: Any, i: Array, one: Any) -> Any:
-    """Return a pytree with a leading axis N in which one robot's part is another."""
-    return jax.tree.map(lambda a, new: lax.dynamic_update_index_in_dim(a, jnp.asarray(new, a.dtype), i, 0), tree, one)
-
-
 def given_of_robot(given: Given, i: Array | int) -> Given:
     """Return the run context of one robot: the first draws as a robot alone, the others from keys of their own.
 
@@ -92,7 +83,7 @@ def given_of_robot(given: Given, i: Array | int) -> Given:
         beams = beams.replace(length=beams.length[i], reach=beams.reach[i], all_round=around)
     numbers = numbers.replace(max_ms=-(-numbers.max_ms // given.task.paces[i]))
     key = jnp.where(i == 0, given.key, others)
-    return given.replace(key=key, task=take(given.task.starts, i), shared=beams, numbers=numbers)
+    return given.replace(key=key, task=take_one(given.task.starts, i), shared=beams, numbers=numbers)
 
 
 def own_cells(robots: State, own: Array, shared: Array) -> Array:

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jexplore.arrays.loops import run_if
+from jexplore.arrays.loops import run_if, take_one
 from jexplore.config import InputError, require_whole
 from jexplore.engine.program import Given
 from jexplore.exploration import environment
@@ -25,7 +25,6 @@ from jexplore.exploration.team.state import (
     is_exploring,
     must_decide,
     next_robot,
-    take,
 )
 from jexplore.exploration.team.team import EVERYBODY, MOST_ROBOTS, Contact, Member, read_members
 from jexplore.planning import Field, choose, field, is_live
@@ -79,7 +78,7 @@ def _take_target(setup: TeamSetup, given: Given, team: TeamState, cell: Array) -
     """
     i = next_robot(team)
     team, heard = meet(given, team, i, plans=True)
-    own, state = given_of_robot(given, i), take(team.robots, i)
+    own, state = given_of_robot(given, i), take_one(team.robots, i)
     known, belief = field(state.belief), state.belief
     inside, row, col = cell_inside(belief.driven.shape, cell[0], cell[1])
     ends, valid = ~jnp.any(known.frontier), inside & (known.cost[row, col] < FAR)

@@ -16,6 +16,7 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array, lax
 
+from jexplore.arrays.loops import pick
 from jexplore.arrays.poses import wrapped
 from jexplore.config import require_number
 from jexplore.engine.program import Given
@@ -165,7 +166,7 @@ def pursue(given: Given, state: State, when: Array) -> tuple[State, Array]:
             way + jnp.where(blocked, 0, v * own.step_s),
             moved,
         )
-        return *(_pick(stopped, *pair) for pair in zip(now[:4], after)), stopped | blocked
+        return *pick(stopped, now[:4], after), stopped | blocked
 
     poses = state.poses
     start = poses.true[:2], poses.true[2] + state.heading * EIGHTH, jnp.float32(0), poses.ride, ~when
@@ -176,12 +177,6 @@ def pursue(given: Given, state: State, when: Array) -> tuple[State, Array]:
     col, row = jnp.floor(xy).astype(jnp.int32)
     belief = belief.replace(row=row, col=col, heading=lattice)
     return state.replace(row=row, col=col, heading=lattice, belief=belief, poses=poses), when & stopped
-
-
-def _pick(stays: Array, old: Any, new: Any) -> Any:
-    if isinstance(old, Ride):
-        return Ride(**{name: _pick(stays, one, getattr(new, name)) for name, one in vars(old).items()})
-    return jnp.where(stays, old, new)
 
 
 def look_on(state: State, eighths: Array) -> State:

@@ -101,31 +101,30 @@ class Score(Theirs):
         del key, beams
         reached = field(belief)
         found = call_user(self.function, self.what, view_of(belief, reached), **dict(self.fixed), **params)
-        score = require_scores(self.what, found, reached.cost.shape)
-        # Kept: XLA might compute it anew to compare it with its maximum, round it differently, and nothing equals that.
-        score = stored(belief.row >= 0, lambda: lax.optimization_barrier(score))
-        row, col = highest(score, reached)
-        return carry, *choose(belief, route, reached, row, col), jnp.where(reached.frontier, score, jnp.nan)
+        choice, route, score = choose_highest(self.what, found, belief, reached, route)
+        return carry, choice, route, jnp.where(reached.frontier, score, jnp.nan)
 
 
-def require_scores(what: str, found: Any, shape: tuple[int, ...]) -> Array:
-    """Return the scores of a user's function as an array; refuse anything but a number for every cell."""
+def choose_highest(what: str, found: Any, belief: Belief, reached: Field, route: Array) -> tuple[Choice, Array, Array]:
+    """Choose the candidate of the highest of the scores that a user's function has found: `(choice, route, scores)`.
+
+    Refuse anything but a number for every cell.
+    """
+    shape = reached.cost.shape
     with expecting(what, f"a score for every cell, {_shape(shape)} integer or float", found):
         score = jnp.asarray(found)
         is_number = jnp.issubdtype(score.dtype, jnp.integer) or jnp.issubdtype(score.dtype, jnp.floating)
         if score.shape != shape or not is_number:
             raise TypeError
-    return score
-
-
-def highest(score: Array, reached: Field) -> tuple[Array, ...]:
-    """Return row and column of the candidate with the highest score; -1 for none."""
+    # Kept: XLA might compute it anew to compare it with its maximum, round it differently, and nothing equals that.
+    score = stored(belief.row >= 0, lambda: lax.optimization_barrier(score))
     real = jnp.issubdtype(score.dtype, jnp.floating)
     least = -jnp.inf if real else jnp.iinfo(score.dtype).min
     usable = reached.frontier & ~jnp.isnan(score)
     best = usable & (score == jnp.max(jnp.where(usable, score, jnp.asarray(least, score.dtype))))
-    found = jnp.any(usable & jnp.isfinite(score))
-    return tuple(jnp.where(found, at, nearest) for at, nearest in zip(first_at(best), nearest_of(reached)))
+    any_ = jnp.any(usable & jnp.isfinite(score))
+    row, col = (jnp.where(any_, at, nearest) for at, nearest in zip(first_at(best), nearest_of(reached)))
+    return *choose(belief, route, reached, row, col), score
 
 
 class Init(Theirs):

@@ -8,7 +8,7 @@ import pandas as pd
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 from jexplore.exploration.batch import Job
-from jexplore.exploration.team.starts import place_team
+from jexplore.exploration.team.starts import place_teams
 from jexplore.raycast import scans_all_round
 from jexplore.studies.bounds.floor import Floor, low_metres
 from jexplore.studies.bounds.scene import Scene, prepare_scene
@@ -67,8 +67,7 @@ def with_team_ratios(episodes: pd.DataFrame, bounds: Any, jobs: Sequence[Job]) -
                 continue
             if key not in lows:
                 scene = prepare_scene(job.world, start, job.lidar, job.rules, scans_all_round(job.lidar))
-                near = {"clearance_m": job.rules.clearance_m, "near_m": job.rules.near_m}
-                starts = place_team(job.world, start, job.team.robots, job.team.starts, **near)
+                (starts,) = place_teams(job.world, [start], job.team, job.rules)
                 rows, cols = bounds.witnesses[number].T
                 lows[key] = 0.0  # enclosed
                 if scene is not None:
