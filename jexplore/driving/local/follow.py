@@ -15,9 +15,8 @@ from jexplore.driving.local.lattice import Lattice, State, distance_m
 from jexplore.driving.local.nodes import TRIES, length_of
 from jexplore.driving.local.pilot import LOOK_M, Pilot, RunEnded
 from jexplore.driving.local.sight import SeenPlace, look
-from jexplore.driving.local.window import CELL_M, SIDE, Fixed, Window
+from jexplore.driving.local.window import CELL_M, SIDE, LocalTask, Window
 from jexplore.driving.mission import RunOutcome
-from jexplore.driving.settings import Tuning
 
 MATCH_M = 1.5  # a place no farther than this from where the map has it is the map's: half of two junctions' distance,
 SAME_RAD = math.radians(40)  # its exits are the map's that are less apart than this,
@@ -42,23 +41,21 @@ class Follower:
 
     def __init__(
         self,
-        fixed: Fixed,
-        start: np.ndarray,
-        tuning: Tuning,
-        max_steps: int,
+        task: LocalTask,
         stops: Sequence[Stop],
         *,
         begin: np.ndarray,
         length_m: float,
         places: np.ndarray,
-        on_step: Callable[["Follower"], object] = lambda follower: None,
+        on_step: Callable[[], object],
     ) -> None:
-        """Stand at `start` `[3]`, on the way from a node at `begin` `[2]` to the first stop.
+        """Stand at the start, on the way from a node at `begin` `[2]` to the first stop.
 
-        `length_m` is the route's; `places` `[n, 2]` are all divergences of the map.
+        `length_m` is the route's; `places` `[n, 2]` are all divergences of the map. `on_step` is called after every
+        step.
         """
-        self.pilot = Pilot(fixed, start, tuning, max_steps, lambda: on_step(self))
-        self._robot, self._start = fixed.robot, np.asarray(start[:2], float)
+        self.pilot, tuning = Pilot(task, on_step), task.tuning
+        self._robot, self._start = task.fixed.robot, np.asarray(task.start[:2], float)
         self._how, self._at_m = (float(tuning.width_m), float(tuning.open_m)), float(tuning.arrive_m)
         self._most_m = MOST[0] * length_m + MOST[1]
         self._stops, self._places, self._shift = stops, places, np.zeros(2)

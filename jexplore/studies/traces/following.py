@@ -13,8 +13,8 @@ import pandas as pd
 
 from jexplore.config import MAX_SEED, InputError, as_record, checked_names, require_whole
 from jexplore.driving import vehicle
-from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, settings_arrays
-from jexplore.driving.local.batch import in_threads, tasks_of
+from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, settings_arrays, why_unfit
+from jexplore.driving.local.batch import make_all, tasks_of
 from jexplore.driving.local.follow import Follower, Stop
 from jexplore.driving.records import Building
 from jexplore.driving.settings import Noise, Robot, Tuning, for_world, require_tuning
@@ -82,28 +82,21 @@ def follow(
     building = building_of(world, marks_m=_refused_places(btm, found))
     begun = [start_of(world, building, body, btm, route) for route in found]
     n, longest = len(found), max(route.length_m for route in found)
-    tasks = tasks_of(
-        *(building, settings_arrays(body, n), settings_arrays(tuning, n), settings_arrays(noise, n)),
-        *(np.stack([pose for pose, *_ in begun]), seed, np.arange(n)),
-    )
     max_steps = int(min(max(MAX_STEPS, STEPS_M * longest), MAX_TRACE_STEPS))
-    runs: list[tuple[str, Follower]] = []
+    settings = settings_arrays(body, n), settings_arrays(tuning, n), settings_arrays(noise, n)
+    starts = np.stack([pose for pose, *_ in begun])
+    tasks = tasks_of(building, *settings, starts, seed, np.arange(n), max_steps)
 
     def run_one(i, watch):
-        follower = _follower(world, btm, found[i], tasks[i], begun[i][2], max_steps, watch)
+        follower = _follower(world, btm, found[i], tasks[i], begun[i][2], watch)
         return follower.drive(), follower
 
-    def on_run(i, run):
-        runs.append(run)
-        if on_progress is not None:
-            on_progress(i + 1)
-
-    in_threads(n, run_one, workers, on_run)
+    runs, _ = make_all(n, run_one, workers, on_progress)
     changed, told = _changed(btm, found, runs, body)
     return FollowResult(_table(world, btm, found, runs, building), changed, tuple(told))
 
 
-def _follower(world, btm, route, task, beside, max_steps, watch):
+def _follower(world, btm, route, task, beside, watch):
     """Make the follower of a route; `beside` is its start's offset from the link."""
     nodes, origin = {node.id: node for node in btm.nodes}, np.asarray(world.origin_m)
 
@@ -116,11 +109,12 @@ def _follower(world, btm, route, task, beside, max_steps, watch):
         exits = [math.radians(bearing) for bearing in btm.bearings_deg(step.end)]
         stops.append(Stop(at(nodes[step.end]), nodes[step.end].type == "divergence", exits, out))
     return Follower(
-        *(task.fixed, task.start, task.tuning, max_steps, stops),
+        task,
+        stops,
         begin=at(nodes[route.start]) + beside,
         length_m=route.length_m,
         places=np.reshape([at(node) for node in btm.nodes if node.type == "divergence"], (-1, 2)),
-        on_step=lambda follower: watch(),
+        on_step=watch,
     )
 
 
@@ -170,7 +164,7 @@ def start_of(
         for metres in (m for m in CLEAR_M if m <= max((step.length_m or 0) / 2, CLEAR_M[-1])):
             x_m, y_m = node.x_m + metres * math.cos(angle), node.y_m + metres * math.sin(angle)
             pose = pose_in(world, (x_m + beside[0], y_m + beside[1], step.bearing_deg))
-            if _is_free(world, pose) and not bool(vehicle.touches(device, robot, jnp.asarray(pose))):
+            if not why_unfit(world, device, robot, pose):
                 fits.append((pose, metres, beside))
                 if not bool(vehicle.touches(device, _turning(robot), jnp.asarray(pose))):
                     return fits[-1]
@@ -187,13 +181,6 @@ def _turning(robot):
     """Return a square in which a robot can turn, with some room."""
     side_m = math.hypot(robot.length_m, robot.width_m) + 2 * TURNING_MARGIN_M
     return dataclasses.replace(robot, length_m=side_m, width_m=side_m)
-
-
-def _is_free(world, pose):
-    """Return whether a pose from `pose_in` lies in a free cell."""
-    row, col = (int(v // world.cell_m) for v in (pose[1], pose[0]))
-    rows, cols = world.shape
-    return 0 <= row < rows and 0 <= col < cols and not world.occupied[row, col]
 
 
 def _table(world, btm, found, runs, building):

@@ -209,7 +209,7 @@ def _frames_by_map(plan, on_progress):
         ranges = run.pilot.ranges_m
         on_progress(n + 1)
 
-    run = LocalRun(task.fixed, task.start, task.tuning, plan.max_steps, on_step)
+    run = LocalRun(task, on_step)
     ranges = run.pilot.ranges_m
     run.drive()
     series = {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}
