@@ -5,7 +5,7 @@ right where it expects the nodes after them.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,9 +17,9 @@ from jexplore.driving.local.pilot import LOOK_M, Pilot, RunEnded
 from jexplore.driving.local.sight import SeenPlace, look
 from jexplore.driving.local.window import CELL_M, SIDE, LocalTask, Window
 from jexplore.driving.mission import RunOutcome
+from jexplore.driving.params.tree import P
 
 MATCH_M = 1.5  # a place no farther than this from where the map has it is the map's: half of two junctions' distance,
-SAME_RAD = math.radians(40)  # its exits are the map's that are less apart than this,
 EXIT_COST_M = 0.7  # and each exit that one of them lacks counts as this way off
 OFF_COST = 4.0  # a node is gone to as near as its surroundings allow: a metre off costs as much as this way
 PASS_M = 0.7  # from another node: there its exits are seen
@@ -159,7 +159,7 @@ class Follower:
         if place is not None:
             long = [way for way in place.ways if way.to >= 0 or length_of(way.path) > place.radius_m + LOOK_M]
             self.found[self.next] = [way.bearing for way in long]
-            ways = [way for way in place.ways if abs(wrapped(way.bearing - stop.out)) < SAME_RAD]
+            ways = [way for way in place.ways if not is_new(way.bearing, [stop.out])]
             if ways:
                 path = min(ways, key=lambda way: abs(wrapped(way.bearing - stop.out))).path
                 near = np.hypot(*(path - place.xy).T) < out_m
@@ -222,7 +222,7 @@ def recognised(seen: Sequence[SeenPlace], stop: Stop, places: np.ndarray, shift:
 
     def off_m(place):
         ways = [way.bearing for way in place.ways]
-        only = sum(_is_new(a, two) for one, two in ((ways, stop.exits), (stop.exits, ways)) for a in one)
+        only = sum(is_new(a, two) for one, two in ((ways, stop.exits), (stop.exits, ways)) for a in one)
         return math.dist(place.xy, stop.xy + shift) + EXIT_COST_M * only
 
     def is_nearest(place):
@@ -232,5 +232,6 @@ def recognised(seen: Sequence[SeenPlace], stop: Stop, places: np.ndarray, shift:
     return min((place for place in seen if off_m(place) < MATCH_M and is_nearest(place)), key=off_m, default=None)
 
 
-def _is_new(bearing, others):
-    return all(abs(wrapped(bearing - other)) > SAME_RAD for other in others)
+def is_new(bearing: float, others: Iterable[float]) -> bool:
+    """Return whether a bearing differs from those of all other exits; radians."""
+    return all(abs(wrapped(bearing - other)) > P.places.same_exit_rad for other in others)

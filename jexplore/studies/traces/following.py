@@ -15,13 +15,12 @@ from jexplore.config import MAX_SEED, InputError, as_record, checked_names, requ
 from jexplore.driving import vehicle
 from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, settings_arrays, why_unfit
 from jexplore.driving.local.batch import make_all, tasks_of
-from jexplore.driving.local.follow import Follower, Stop
+from jexplore.driving.local.follow import Follower, Stop, is_new
 from jexplore.driving.records import Building
 from jexplore.driving.settings import Noise, Robot, Tuning, for_world, require_tuning
 from jexplore.studies import checks
 from jexplore.studies.traces import routes
 from jexplore.studies.traces.job import MAX_TRACE_STEPS
-from jexplore.tracemap.merging.rigid import apart_deg
 from jexplore.tracemap.passable import BLOCKED, BLOCKED_FOR, CONFLICTS, FOUND_BY, blocked_for
 from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link
 from jexplore.tracemap.route import MapIndex, Route
@@ -30,7 +29,6 @@ from jexplore.worlds.world import World, with_ring
 CLEAR_M = 1.5, 1.0, 2.0, 0.6, 3.0, 0.3  # m; starts along a link: the first where the robot can turn, or that is free
 START_OFFSETS_M = 0.0, 0.3, -0.3, 0.6, -0.6  # m; offsets from the link where the robot cannot turn anywhere on it
 TURNING_MARGIN_M = 0.05  # m; margin of a robot that turns at its start
-SAME_EXIT_DEG = 40.0  # ways that lie no farther apart are one
 STEPS_M = 60  # steps that a robot has for each metre of its route
 STRAIGHT_SHARE = 0.8  # of its length lie the ends of a link apart at least, if its middle is known
 ON_IT_M = 1.0  # a robot so near to the middle of a link is on it
@@ -214,8 +212,8 @@ def _changed(btm, found, runs, robot):
         for node, bearing in ways:
             ends = [(link.start, link.start_bearing_deg) for link in links.values()]
             ends += [(link.end, link.end_bearing_deg) for link in links.values() if link.start != link.end]
-            there = [own for end, own in ends if end == node and own is not None]
-            if all(abs(apart_deg(bearing, own)) > SAME_EXIT_DEG for own in there):
+            there = [math.radians(own) for end, own in ends if end == node and own is not None]
+            if is_new(math.radians(bearing), there):
                 links[count] = Link(count, node, NOWHERE, STATUS[0], bearing, attributes={FOUND_BY: robot.name})
                 told.append(f"node {node} has a way at {bearing:.0f} degrees that the map did not have")
                 count += 1
