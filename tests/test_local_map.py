@@ -4,23 +4,19 @@ import dataclasses
 import itertools
 import math
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jexplore as jx
 from jexplore.config import InputError
 from jexplore.driving.local.area import SeenArea
-from jexplore.driving.local.batch import MATCHING
 from jexplore.driving.local.lattice import Lattice, outlines
 from jexplore.driving.local.nodes import TRIES, Exit, Node, TraceMap, direction_out
 from jexplore.driving.local.pilot import Pilot
 from jexplore.driving.local.run import LocalRun
 from jexplore.driving.local.sight import SeenPlace, SeenWay, look
-from jexplore.driving.local.window import CELL_M, SIDE, Fixed, Window
-from jexplore.driving.settings import ROBOTS, Tuning
-from jexplore.engine.devices import random_key
+from jexplore.driving.local.window import CELL_M, SIDE, Window
+from jexplore.driving.settings import ROBOTS
 from jexplore.report.operator_view import page
 from jexplore.studies.traces.job import prepare_trace
 from jexplore.studies.traces.recording import record_run
@@ -448,10 +444,7 @@ def test_robot_maps_a_crossing_the_same_way_twice():
 @pytest.mark.slow
 def test_robot_goes_back_the_way_it_came_past_contacts():
     plan = prepare_trace(cross(), start=(1.5, 6.0, 0.0), perception="map")
-    (robot, _, noise), draw = plan.settings_of(np.zeros(1, int)), np.random.default_rng(0)
-    robot, noise = jax.tree.map(lambda a: jnp.asarray(a[0]), (dataclasses.replace(robot, name=""), noise))
-    fixed = Fixed(jax.device_put(plan.building), robot, noise, MATCHING, random_key(np.uint32(0)))
-    pilot = Pilot(fixed, plan.begins[0], Tuning(), 5000)
+    pilot, draw = Pilot(*plan.local_tasks(*plan.all_runs())), np.random.default_rng(0)
     begin = pilot.now.truth
     for _ in range(20):
         pilot.drive_to(pilot.pose[:2] + draw.uniform(-1, 1, 2), back=bool(draw.integers(2)))

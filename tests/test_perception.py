@@ -12,8 +12,6 @@ from ref.passages import EAST, FEATURES, WIDTHS_M, building, cast
 from jexplore.arrays.delaunay import circumcircles, delaunay
 from jexplore.driving import vehicle
 from jexplore.driving.building import terrain
-from jexplore.driving.events import SCAN_POINTS
-from jexplore.driving.events import triangles as look
 from jexplore.driving.sensing import ground_profile, obstacles, perception
 from jexplore.driving.sensing.ground_profile import RISE_M
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
@@ -147,7 +145,7 @@ def test_smoothing_takes_the_mean_of_what_is_near():
     np.testing.assert_allclose(even, want, atol=1e-6)
 
 
-def sampled(xy, valid, near_m=0.3, far_m=4.0, aside_m=2.5, spacing_m=0.2, size=SCAN_POINTS):
+def sampled(xy, valid, near_m=0.3, far_m=4.0, aside_m=2.5, spacing_m=0.2, size=perception.SCAN_POINTS):
     """`(along the walls, ends, spacing, overflow)`."""
     chosen, there, spacing, overflow = resampled(xy, valid, near_m, far_m, aside_m, spacing_m, size=size)
     assert chosen.shape == (size, 2)
@@ -201,7 +199,7 @@ def look_from(walls_, pose, tuning, noise_m):
     ranges = cast(walls_, pose, ANGLES_RAD, SCAN_RANGE_M) + noise_m
     xy, valid = points(ranges, ANGLES_RAD)
     beside = jnp.stack(sides(xy, valid, 0, KAMUI.length_m / 2)).min()
-    found = look(xy, valid, beside, tuning)
+    found = perception.find_divergences(xy, valid, beside, tuning)
     return found, vehicle.to_odometry(pose)(found.centre)
 
 
@@ -289,7 +287,7 @@ def test_every_triangle_keeps_to_its_bounds():
         pose = np.array([*(middle + rng.uniform([-3, -0.4], [-1, 0.4])), rng.uniform(-0.4, 0.4)], np.float32)
         noise_m = rng.normal(scale=0.03, size=BEAMS).astype(np.float32)
         found, *_ = look_from(walls_, pose, TUNING, noise_m)
-        assert found.corners.shape == (2 * SCAN_POINTS, 3, 2)
+        assert found.corners.shape == (2 * perception.SCAN_POINTS, 3, 2)
         corners = np.asarray(found.corners)[np.asarray(found.valid)].astype(float)
         for triangle, centre, radius in zip(
             corners, *(np.asarray(a)[found.valid] for a in (found.centre, found.radius))

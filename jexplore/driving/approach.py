@@ -12,10 +12,9 @@ from jax import Array
 from jexplore import btm
 from jexplore.arrays.loops import pick, run_if
 from jexplore.driving import behaviour
-from jexplore.driving.events import triangles
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import Ahead, Building, Latch, RunMode, Senses, State, Track
-from jexplore.driving.sensing import surround
+from jexplore.driving.sensing import perception, surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, SCAN_RANGE_M, to_odometry, touches, towards
 
@@ -77,7 +76,7 @@ def _surveyed(state, ways_m, tuning, robot):
     """Find the largest place that the robot sees around itself after looking round. Returns `(track, finds,
     there_is)`: it; whether there is any; whether one lies where the robot takes it to be."""
     placed = to_odometry(state.estimate)
-    found = triangles(*surround.known_points(state.around), tuning.far_m, tuning)
+    found = perception.find_divergences(*surround.known_points(state.around), tuning.far_m, tuning)
     distance = jnp.hypot(*found.centre.T)
     bearing = jnp.arctan2(found.centre[:, 1], found.centre[:, 0])
     at = jnp.argmin(jnp.abs(btm.wrapped(bearing[:, None] - surround.DIRECTION)), axis=1)

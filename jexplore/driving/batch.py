@@ -93,19 +93,24 @@ def require_start(world: World, building: Building, robot: Robot, start: np.ndar
     Raises:
       InputError: naming the place.
     """
-    x, y, heading = (float(v) for v in start)
-    place = f"start ({x + world.origin_m[0]:.2f}, {y + world.origin_m[1]:.2f}) m of {world.name or 'world'!r}"
+    if why := why_unfit(world, building, robot, start):
+        x_m, y_m = start[:2].astype(float) + world.origin_m
+        raise InputError(f"start ({x_m:.2f}, {y_m:.2f}) m of {world.name or 'world'!r}: {why}")
+
+
+def why_unfit(world: World, building: Building, robot: Robot, start: np.ndarray) -> str:
+    """Explain why a robot cannot start at a pose from `pose_in`; empty if it can."""
+    x, y = (float(v) for v in start[:2])
     rows, cols = world.shape
     row, col = int(y // world.cell_m), int(x // world.cell_m)
     if not (0 <= row < rows and 0 <= col < cols):
-        raise InputError(f"{place}: lies outside")
+        return "lies outside"
     if world.occupied[row, col]:
-        raise InputError(f"{place}: lies in a wall; choose a free place")
-    if bool(vehicle.touches(jax.tree.map(jnp.asarray, building), robot, jnp.asarray([x, y, heading]))):
-        raise InputError(
-            f"{place}: a robot of {robot.length_m:g} x {robot.width_m:g} m does not fit there; "
-            "choose another place or a smaller robot"
-        )
+        return "lies in a wall; choose a free place"
+    if bool(vehicle.touches(jax.tree.map(jnp.asarray, building), robot, jnp.asarray(start))):
+        size = f"{robot.length_m:g} x {robot.width_m:g} m"
+        return f"a robot of {size} does not fit there; choose another place or a smaller robot"
+    return ""
 
 
 def settings_arrays(record: _Settings, n: int) -> _Settings:

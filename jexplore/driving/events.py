@@ -7,12 +7,11 @@ from jexplore import btm
 from jexplore.arrays.loops import pick, run_if
 from jexplore.driving import behaviour, links, mapping
 from jexplore.driving.params.tree import P
-from jexplore.driving.records import Ahead, Divergence, DueNode, Latch, LoneStep, ScanWalls, State, Track
+from jexplore.driving.records import Ahead, DueNode, Latch, LoneStep, ScanWalls, State, Track
 from jexplore.driving.sensing import ground_profile, perception, surround
 from jexplore.driving.settings import Robot, Tuning
-from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, to_odometry, to_robot
+from jexplore.driving.vehicle import ANGLES_RAD, to_odometry, to_robot
 
-SCAN_POINTS = 64  # of a scan that are made into triangles
 PROFILE_STEPS = 64  # steps whose profile of the ground is looked at
 
 
@@ -82,20 +81,6 @@ def _lone_step(state, ground, tips, level, changed, crease_m, blocked, robot):
     return now, is_lone & ~changed, pick(gone, LoneStep(), now)
 
 
-def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) -> Divergence:
-    """Find the triangles of a scan, `wall_m` from the nearer wall: `records.Divergence`."""
-    far_m = perception.far_bound(tuning.far_m, tuning.width_m, BEAM_SPACING_RAD, wall_m)
-    return perception.find_divergences(
-        xy,
-        valid,
-        far_m=far_m,
-        width_m=tuning.width_m,
-        obtuse_tol_deg=tuning.obtuse_tol_deg,
-        open_m=tuning.open_m,
-        size=SCAN_POINTS,
-    )
-
-
 def _watch(state, wall_m, leans, tuning):
     """Search triangles, in every `search_every_steps`-th step: the state with its `Track` and overflow."""
     approaches, turns = state.drive.latch == Latch.APPROACH, state.drive.latch == Latch.LOOK
@@ -104,7 +89,7 @@ def _watch(state, wall_m, leans, tuning):
     is_in = approaches & (jnp.hypot(*(state.track.centre - state.estimate[:2])) < state.track.radius)
 
     def looked(carry):
-        found = triangles(*surround.known_points(state.around), wall_m, tuning)
+        found = perception.find_divergences(*surround.known_points(state.around), wall_m, tuning)
         known = mapping.is_near_known(state.writer, placed(found.centre), state.odometer_m, tuning.leave_m)
         found = found.replace(valid=found.valid & ~known & (found.centre[:, 0] > 0))
         return behaviour.update_track(carry[0], found, placed, tuning.same_m, ~approaches), found.overflow

@@ -1,52 +1,30 @@
 """Runs of robots with a local map, with the results of `driving.batch.run_missions`."""
 
-import collections
 import dataclasses
 import threading
-import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from concurrent.futures import CancelledError
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jexplore.config import InputError
 from jexplore.driving.batch import Driven, MissionResults
-from jexplore.driving.local.pilot import RunEnded
 from jexplore.driving.local.run import LocalRun
-from jexplore.driving.local.window import Fixed
+from jexplore.driving.local.window import Fixed, LocalTask
 from jexplore.driving.mission import MAP_SIZE, RunOutcome, RunResult
 from jexplore.driving.records import Building
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.engine.devices import random_key
-from jexplore.engine.runner import Costs, cpu_devices, find_resources
+from jexplore.engine.runner import Costs, OwnRuns, cpu_devices, find_resources, run_all
+from jexplore.engine.threads import Pieces
 from jexplore.slam2d.settings import SlamSettings
 
 # The constants of a step of the odometry are for a step of 0.1 s, not for those of logs: 4 mm, a tenth of the way, and
 # 0.15 degrees, one and a half times the heading's walk. Larger ones let matches slide along walls, 0.7 m in 70 m. The
 # gate stays at 0.3 m: in the open the pose may err by as much before walls are in sight again.
 MATCHING = SlamSettings(way_m=0.004, turn_deg=0.15, max_deviations=40.0)
-OnStep = Callable[[int, LocalRun], object]  # of the number of a run and the run
-
-
-class LocalTask(NamedTuple):
-    """All that a run needs."""
-
-    fixed: Fixed
-    tuning: Tuning
-    start: np.ndarray  # [3] float32
-
-
-def require_cpu(engine: str, lanes: int | None) -> None:
-    """Refuse settings of an engine that runs of robots with a local map do not have.
-
-    Raises:
-      InputError: naming them.
-    """
-    if (engine, lanes) != ("auto", None):
-        raise InputError("engine and lanes go with perception triangles: a local map runs on the CPU")
 
 
 def tasks_of(
@@ -57,6 +35,7 @@ def tasks_of(
     starts: np.ndarray,
     seed: int,
     draws: np.ndarray,
+    max_steps: int,
 ) -> list[LocalTask]:
     """Return the runs; arguments as of `driving.batch.run_missions`."""
     key, on_device = random_key(np.uint32(seed)), jax.device_put(building, (cpu_devices() or jax.devices())[0])
@@ -65,102 +44,93 @@ def tasks_of(
     for i, draw in enumerate(draws):
         robot, tuning, noise = jax.tree.map(lambda a, i=i: a[i], (robots, tunings, noises))
         fixed = Fixed(on_device, robot, noise, MATCHING, jax.random.fold_in(key, draw))
-        found.append(LocalTask(jax.tree.map(jnp.asarray, fixed), tuning, starts[i]))
+        found.append(LocalTask(jax.tree.map(jnp.asarray, fixed), tuning, starts[i], max_steps))
     return found
 
 
-def in_threads(
+class HostRuns(OwnRuns):
+    """Runs that are made on the host, one a core at a time."""
+
+    def __init__(self, n: int, run_one: Callable[[int, Callable[[], None]], Any], phase: int = 0) -> None:
+        """Make n runs: `run_one` is called with the number of each and a function that it must call after every step.
+
+        `phase` is that of `threads.Pieces`.
+        """
+        self.which, self.finished = np.arange(n, dtype=np.int32), np.zeros(n, bool)
+        self.found: list[Any] = [None] * n
+        """Values that `run_one` has returned; None before."""
+        self._run_one, self._phase, self._halts = run_one, phase, threading.Event()
+
+    def pieces(self) -> Pieces:
+        """Return the runs, for `threads.share_out`."""
+
+        def keep(i, _, found):
+            self.found[i], self.finished[i] = found, True
+
+        return Pieces(len(self.found), 1, lambda i, _: self._run_one(i, self._watch), keep, phase=self._phase)
+
+    def give_up(self) -> None:
+        """Make runs that are under way break off at their next step."""
+        self._halts.set()
+
+    def _watch(self):
+        if self._halts.is_set():
+            raise CancelledError
+
+
+def make_all(
     n: int,
     run_one: Callable[[int, Callable[[], None]], Any],
     workers: int | None,
-    on_run: Callable[[int, Any], object],
-) -> None:
-    """Make runs, `workers` at a time, by default one a core; `on_run` is called with what each returns, in order.
-
-    `run_one` is called with the number of a run and a function that it must call after every step.
+    on_progress: Callable[[int], object] | None,
+) -> tuple[list[Any], Costs]:
+    """Make `HostRuns`, `workers` at a time, by default one a core; return what each has returned, and the costs.
 
     Raises:
-      KeyboardInterrupt: after Ctrl-C, once the runs that have begun have been stopped.
+      KeyboardInterrupt: after Ctrl-C.
     """
-    halts = threading.Event()
-
-    def watch():
-        if halts.is_set():
-            raise RunEnded(RunOutcome.RUNNING)
-
-    with ThreadPoolExecutor(find_resources(workers=workers).workers) as pool:
-        waiting = collections.deque(pool.submit(run_one, i, watch) for i in range(n))
-        try:
-            for i in range(n):
-                on_run(i, waiting.popleft().result())
-        finally:
-            halts.set()
-            pool.shutdown(cancel_futures=True)
+    runs = HostRuns(n, run_one)
+    costs = run_all([runs], find_resources(workers=workers), on_progress)
+    if costs.interrupted:
+        raise KeyboardInterrupt
+    return runs.found, costs
 
 
-def run_tasks(
-    tasks: Sequence[LocalTask],
-    max_steps: int,
-    size: tuple[int, int],
-    *,
-    workers: int | None = None,
-    on_run: Callable[[int, RunResult, Driven], object],
-    on_step: OnStep = lambda i, run: None,
-) -> None:
-    """Make runs as `in_threads` does; `on_run` is called with each in their order.
-
-    `on_step` is called after every step, from the run's thread.
-    """
-
-    def run_one(i, watch):
-        def stepped(run):
-            on_step(i, run)
-            watch()
-
-        task = tasks[i]
-        run = LocalRun(task.fixed, task.start, task.tuning, max_steps, stepped)
-        return _results_of(run, run.drive(), task.fixed, size)
-
-    in_threads(len(tasks), run_one, workers, lambda i, found: on_run(i, *found))
+def run_task(task: LocalTask, size: tuple[int, int], on_step: Callable[[LocalRun], object]) -> tuple[RunResult, Driven]:
+    """Make a run: its result and its way. `on_step` is called with it after every step."""
+    run = LocalRun(task, on_step)
+    return _results_of(run, run.drive(), task.fixed, size)
 
 
 def run_missions(
     tasks: Sequence[LocalTask],
     *,
     workers: int | None = None,
-    max_steps: int,
     size: tuple[int, int] = MAP_SIZE,
     on_progress: Callable[[int], object] | None = None,
     blocks: Sequence[tuple[int, int]] | None = None,
     on_block: Callable[[int, RunResult, Driven | None], object] | None = None,
 ) -> MissionResults:
     """Make runs in a building on level ground; other arguments and results as of `driving.batch.run_missions`."""
-    begin_s, results, ways, costs = time.perf_counter(), dict[int, RunResult](), dict[int, Driven](), Costs()
-    blocks = [(0, len(tasks))] if blocks is None else list(blocks)
-    order = [i for first, n in blocks for i in range(first, first + n)]
-    firsts, ends = {first for first, _ in blocks}, {first + n - 1: k for k, (first, n) in enumerate(blocks)}
+    blocks = [(0, len(tasks))] if blocks is None else blocks
 
-    def put(place, result, way):
-        i = order[place]
-        results[i] = result
-        if i in firsts:
-            ways[i] = way
-        if on_progress is not None:
-            on_progress(len(results))
-        if on_block is not None and i in ends:
-            first, n = blocks[ends[i]]
-            on_block(ends[i], _stacked([results[k] for k in range(first, first + n)]), ways[first])
+    def run_one(i, watch):
+        return run_task(tasks[i], size, lambda run: watch())
 
-    try:
-        run_tasks([tasks[i] for i in order], max_steps, size, workers=workers, on_run=put)
-    except KeyboardInterrupt:
-        if not results:
-            raise
-        costs.interrupted = True
-    blank = jax.tree.map(np.zeros_like, next(iter(results.values())))
-    costs.run_s = time.perf_counter() - begin_s
-    stacked = _stacked([results.get(i, blank) for i in range(len(tasks))])
-    return MissionResults(stacked, ways.get(blocks[0][0]), costs)
+    work = [
+        HostRuns(n, lambda i, watch, first=first: run_one(first + i, watch), phase)
+        for phase, (first, n) in enumerate(blocks)
+    ]
+
+    def tell(k):
+        if on_block is not None:
+            on_block(k, _stacked([result for result, _ in work[k].found]), work[k].found[0][1])
+
+    costs = run_all(work, find_resources(workers=workers), on_progress, tell)
+    found = {first + i: one for (first, _), own in zip(blocks, work) for i, one in enumerate(own.found) if one}
+    blank = jax.tree.map(np.zeros_like, next(iter(found.values()))[0]), None
+    made = [found.get(i, blank) for i in range(len(tasks))]
+    return MissionResults(_stacked([result for result, _ in made]), made[0][1], costs)
 
 
 def _stacked(results) -> Any:

@@ -5,7 +5,7 @@ right where it expects the nodes after them.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,12 +15,11 @@ from jexplore.driving.local.lattice import Lattice, State, distance_m
 from jexplore.driving.local.nodes import TRIES, length_of
 from jexplore.driving.local.pilot import LOOK_M, Pilot, RunEnded
 from jexplore.driving.local.sight import SeenPlace, look
-from jexplore.driving.local.window import CELL_M, SIDE, Fixed, Window
+from jexplore.driving.local.window import CELL_M, SIDE, LocalTask, Window
 from jexplore.driving.mission import RunOutcome
-from jexplore.driving.settings import Tuning
+from jexplore.driving.params.tree import P
 
 MATCH_M = 1.5  # a place no farther than this from where the map has it is the map's: half of two junctions' distance,
-SAME_RAD = math.radians(40)  # its exits are the map's that are less apart than this,
 EXIT_COST_M = 0.7  # and each exit that one of them lacks counts as this way off
 OFF_COST = 4.0  # a node is gone to as near as its surroundings allow: a metre off costs as much as this way
 PASS_M = 0.7  # from another node: there its exits are seen
@@ -42,23 +41,21 @@ class Follower:
 
     def __init__(
         self,
-        fixed: Fixed,
-        start: np.ndarray,
-        tuning: Tuning,
-        max_steps: int,
+        task: LocalTask,
         stops: Sequence[Stop],
         *,
         begin: np.ndarray,
         length_m: float,
         places: np.ndarray,
-        on_step: Callable[["Follower"], object] = lambda follower: None,
+        on_step: Callable[[], object],
     ) -> None:
-        """Stand at `start` `[3]`, on the way from a node at `begin` `[2]` to the first stop.
+        """Stand at the start, on the way from a node at `begin` `[2]` to the first stop.
 
-        `length_m` is the route's; `places` `[n, 2]` are all divergences of the map.
+        `length_m` is the route's; `places` `[n, 2]` are all divergences of the map. `on_step` is called after every
+        step.
         """
-        self.pilot = Pilot(fixed, start, tuning, max_steps, lambda: on_step(self))
-        self._robot, self._start = fixed.robot, np.asarray(start[:2], float)
+        self.pilot, tuning = Pilot(task, on_step), task.tuning
+        self._robot, self._start = task.fixed.robot, np.asarray(task.start[:2], float)
         self._how, self._at_m = (float(tuning.width_m), float(tuning.open_m)), float(tuning.arrive_m)
         self._most_m = MOST[0] * length_m + MOST[1]
         self._stops, self._places, self._shift = stops, places, np.zeros(2)
@@ -162,7 +159,7 @@ class Follower:
         if place is not None:
             long = [way for way in place.ways if way.to >= 0 or length_of(way.path) > place.radius_m + LOOK_M]
             self.found[self.next] = [way.bearing for way in long]
-            ways = [way for way in place.ways if abs(wrapped(way.bearing - stop.out)) < SAME_RAD]
+            ways = [way for way in place.ways if not is_new(way.bearing, [stop.out])]
             if ways:
                 path = min(ways, key=lambda way: abs(wrapped(way.bearing - stop.out))).path
                 near = np.hypot(*(path - place.xy).T) < out_m
@@ -225,7 +222,7 @@ def recognised(seen: Sequence[SeenPlace], stop: Stop, places: np.ndarray, shift:
 
     def off_m(place):
         ways = [way.bearing for way in place.ways]
-        only = sum(_is_new(a, two) for one, two in ((ways, stop.exits), (stop.exits, ways)) for a in one)
+        only = sum(is_new(a, two) for one, two in ((ways, stop.exits), (stop.exits, ways)) for a in one)
         return math.dist(place.xy, stop.xy + shift) + EXIT_COST_M * only
 
     def is_nearest(place):
@@ -235,5 +232,6 @@ def recognised(seen: Sequence[SeenPlace], stop: Stop, places: np.ndarray, shift:
     return min((place for place in seen if off_m(place) < MATCH_M and is_nearest(place)), key=off_m, default=None)
 
 
-def _is_new(bearing, others):
-    return all(abs(wrapped(bearing - other)) > SAME_RAD for other in others)
+def is_new(bearing: float, others: Iterable[float]) -> bool:
+    """Return whether a bearing differs from those of all other exits; radians."""
+    return all(abs(wrapped(bearing - other)) > P.places.same_exit_rad for other in others)

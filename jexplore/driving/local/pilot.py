@@ -7,11 +7,19 @@ import numpy as np
 
 from jexplore.arrays.poses import wrapped
 from jexplore.driving.local.lattice import MARGIN_M, STEPS, State
-from jexplore.driving.local.window import CELL_M, Fixed, Report, Window, begin_run, make_step, read_report, window_of
+from jexplore.driving.local.window import (
+    CELL_M,
+    LocalTask,
+    Report,
+    Window,
+    begin_run,
+    make_step,
+    read_report,
+    window_of,
+)
 from jexplore.driving.mission import RunOutcome
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import RunMode
-from jexplore.driving.settings import Tuning
 from jexplore.driving.vehicle import DT_S
 
 TURNED_RAD = 0.04  # from the end of a turn: 5 cm aside after a metre of way
@@ -33,23 +41,16 @@ class RunEnded(Exception):
 class Pilot:
     """A robot in a building, its way and its local map."""
 
-    def __init__(
-        self,
-        fixed: Fixed,
-        start: np.ndarray,
-        tuning: Tuning,
-        max_steps: int,
-        on_step: Callable[[], object] = lambda: None,
-    ) -> None:
-        """Stand at a start `[3]`; of `tuning` speed and gain count; `on_step` is called after every step."""
-        self._fixed, self._max_steps, self._on_step = fixed, max_steps, on_step
-        self._speed, self._gain = float(tuning.speed_m_s), float(tuning.turn_gain)
-        self._turn_rad_s = float(fixed.robot.max_turn_rad_s)
-        self._state, report = begin_run(fixed, start)
+    def __init__(self, task: LocalTask, on_step: Callable[[], object] = lambda: None) -> None:
+        """Stand at the start; of the thresholds speed and gain count; `on_step` is called after every step."""
+        self._fixed, self._max_steps, self._on_step = task.fixed, task.max_steps, on_step
+        self._speed, self._gain = float(task.tuning.speed_m_s), float(task.tuning.turn_gain)
+        self._turn_rad_s = float(task.fixed.robot.max_turn_rad_s)
+        self._state, report = begin_run(task.fixed, task.start)
         self.now: Report = read_report(report)
         self.way: list[tuple[np.ndarray, np.ndarray, RunMode]] = []
         """Pose, true pose and mode of every step, before it was made."""
-        self.mode, self.target = RunMode.CENTRAL, np.asarray(start[:2], float)
+        self.mode, self.target = RunMode.CENTRAL, np.asarray(task.start[:2], float)
         self.odometer_m, self._blind = 0.0, 0
         self._commands: list[tuple[float, float]] = []  # speeds, m/s, and rates of turning, rad/s
 

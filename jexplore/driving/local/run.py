@@ -14,10 +14,9 @@ from jexplore.driving.local.lattice import CLOSE_COST, Lattice, distance_m
 from jexplore.driving.local.nodes import NEAR_M, TRIES, Exit, TraceMap, length_of
 from jexplore.driving.local.pilot import LOOK_M, Pilot, RunEnded
 from jexplore.driving.local.sight import SeenPlace, look
-from jexplore.driving.local.window import SIDE, Fixed
+from jexplore.driving.local.window import SIDE, LocalTask
 from jexplore.driving.mission import RunOutcome
 from jexplore.driving.records import RunMode
-from jexplore.driving.settings import Tuning
 from jexplore.driving.vehicle import DT_S, SCAN_RANGE_M
 
 LINK_M = 1.5  # the robot looks anew at the end of the straight piece of a link on which it has come this far
@@ -32,21 +31,14 @@ MOST_IDLE = 30  # looks in a row without a step in between, after which the robo
 class LocalRun:
     """A robot that writes its trace map."""
 
-    def __init__(
-        self,
-        fixed: Fixed,
-        start: np.ndarray,
-        tuning: Tuning,
-        max_steps: int,
-        on_step: Callable[["LocalRun"], object] = lambda run: None,
-    ) -> None:
-        """Begin at a start `[3]`; of `tuning` width and clearance of passages, speed and gain count.
+    def __init__(self, task: LocalTask, on_step: Callable[["LocalRun"], object]) -> None:
+        """Begin at the start; of the thresholds width and clearance of passages, speed and gain count.
 
         `on_step` is called with the run after every step.
         """
-        self._tuning, self._start = tuning, np.asarray(start[:2], float)
-        self.pilot = Pilot(fixed, start, tuning, max_steps, lambda: on_step(self))
-        self.robot = fixed.robot
+        self._tuning, self._start = task.tuning, np.asarray(task.start[:2], float)
+        self.pilot = Pilot(task, lambda: on_step(self))
+        self.robot = task.fixed.robot
         self.map = TraceMap(self._start, self.pilot.now.truth[:2].astype(float))
         self.mistaken = 0
         self._at, self._since = 0, 0  # the node that the robot was at last, and the step then

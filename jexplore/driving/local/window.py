@@ -16,7 +16,7 @@ from jexplore.arrays.loops import run_if
 from jexplore.arrays.poses import between
 from jexplore.driving.building.terrain import is_level
 from jexplore.driving.records import Building, Draws, RobotBody, Senses
-from jexplore.driving.settings import Noise, Robot
+from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.driving.vehicle import (
     ANGLES_RAD,
     BEAMS,
@@ -77,6 +77,15 @@ class Fixed(NamedTuple):
     noise: Noise
     settings: SlamSettings
     key: Array  # of the run; step i draws by `fold_in(key, i)`
+
+
+class LocalTask(NamedTuple):
+    """All that a run needs."""
+
+    fixed: Fixed
+    tuning: Tuning
+    start: np.ndarray  # [3] float32
+    max_steps: int
 
 
 def _sensed(fixed, body, step):

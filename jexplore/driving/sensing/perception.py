@@ -11,7 +11,10 @@ from jexplore.arrays.delaunay import circumcircles, delaunay
 from jexplore.arrays.loops import stored
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import Divergence
+from jexplore.driving.settings import Tuning
+from jexplore.driving.vehicle import BEAM_SPACING_RAD
 
+SCAN_POINTS = 64  # of a scan that are made into triangles
 SMOOTHED_BEAMS = 6  # beams on either side that a point is smoothed with
 BRIDGED_BEAMS = 3  # beams without a reading that are bridged
 CLEARANCE_BEAMS = 3  # beams on either side that the width of a passage is the mean of
@@ -181,32 +184,23 @@ def far_bound(
     return jnp.minimum(far_m, 0.95 * jnp.sqrt(width_m * jnp.minimum(wall_m, far_m) / beam_spacing_rad))
 
 
-def find_divergences(
-    xy: Array,
-    valid: Array,
-    *,
-    far_m: Array | float,
-    width_m: Array | float,
-    obtuse_tol_deg: Array | float,
-    open_m: Array | float,
-    size: int,
-) -> Divergence:
+def find_divergences(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) -> Divergence:
     """Find triangles that touch three walls: between them the way divides, bends or ends.
 
     Args:
-      obtuse_tol_deg: no angle is more than this above 90 degrees.
-      open_m: circles as large as this lie in free space and are left out [C1], metres.
-      size: most scan points. Static.
+      xy, valid: `[B, 2]`, `[B]`, points around the robot, `wall_m` from the nearer wall.
 
     Source:
       Mano et al., section III.A.1; Silver et al. 2004. Changed: the tolerance (a dead end's triangle has a right angle,
       so that half of all scans would lose it), and circles in free space are left out.
     """
+    width_m, open_m = tuning.width_m, tuning.open_m
+    far_m = far_bound(tuning.far_m, width_m, BEAM_SPACING_RAD, wall_m)
     # Beams far aside meet a wall next to a tilted robot too far apart, however near ahead.
     valid &= jnp.sum(xy**2, axis=1) < far_m**2
     xy = smooth_points(xy, valid, width_m / 4)
     chosen, there, spacing, overflow = resample_walls(
-        xy, valid, -far_m, far_m, open_m, P.places.spacing_widths * width_m, size=size
+        xy, valid, -far_m, far_m, open_m, P.places.spacing_widths * width_m, size=SCAN_POINTS
     )
     triangles = delaunay(chosen, there)
     centre, radius, side2 = circumcircles(chosen, triangles.corner)
@@ -216,9 +210,9 @@ def find_divergences(
     # Two points with one between them on a wall make no side: noise may push that one out of the circle.
     side = jnp.maximum(width_m, spacing / P.places.spacing_widths)
     keep = triangles.valid & (jnp.min(side2, axis=1) > side**2) & (radius < open_m)
-    keep &= cosine >= -jnp.sin(jnp.radians(obtuse_tol_deg))
+    keep &= cosine >= -jnp.sin(jnp.radians(tuning.obtuse_tol_deg))
     keep &= ~_on_one_wall(chosen, there, centre, triangles.corner, P.places.recess_widths * width_m)
-    corners = chosen[jnp.minimum(triangles.corner, size - 1)]
+    corners = chosen[jnp.minimum(triangles.corner, SCAN_POINTS - 1)]
     return Divergence(corners=corners, centre=centre, radius=radius, valid=keep, overflow=overflow + triangles.overflow)
 
 

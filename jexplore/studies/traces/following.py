@@ -13,15 +13,14 @@ import pandas as pd
 
 from jexplore.config import MAX_SEED, InputError, as_record, checked_names, require_whole
 from jexplore.driving import vehicle
-from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, settings_arrays
-from jexplore.driving.local.batch import in_threads, tasks_of
-from jexplore.driving.local.follow import Follower, Stop
+from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, settings_arrays, why_unfit
+from jexplore.driving.local.batch import make_all, tasks_of
+from jexplore.driving.local.follow import Follower, Stop, is_new
 from jexplore.driving.records import Building
 from jexplore.driving.settings import Noise, Robot, Tuning, for_world, require_tuning
 from jexplore.studies import checks
 from jexplore.studies.traces import routes
 from jexplore.studies.traces.job import MAX_TRACE_STEPS
-from jexplore.tracemap.merging.rigid import apart_deg
 from jexplore.tracemap.passable import BLOCKED, BLOCKED_FOR, CONFLICTS, FOUND_BY, blocked_for
 from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link
 from jexplore.tracemap.route import MapIndex, Route
@@ -30,7 +29,6 @@ from jexplore.worlds.world import World, with_ring
 CLEAR_M = 1.5, 1.0, 2.0, 0.6, 3.0, 0.3  # m; starts along a link: the first where the robot can turn, or that is free
 START_OFFSETS_M = 0.0, 0.3, -0.3, 0.6, -0.6  # m; offsets from the link where the robot cannot turn anywhere on it
 TURNING_MARGIN_M = 0.05  # m; margin of a robot that turns at its start
-SAME_EXIT_DEG = 40.0  # ways that lie no farther apart are one
 STEPS_M = 60  # steps that a robot has for each metre of its route
 STRAIGHT_SHARE = 0.8  # of its length lie the ends of a link apart at least, if its middle is known
 ON_IT_M = 1.0  # a robot so near to the middle of a link is on it
@@ -82,28 +80,21 @@ def follow(
     building = building_of(world, marks_m=_refused_places(btm, found))
     begun = [start_of(world, building, body, btm, route) for route in found]
     n, longest = len(found), max(route.length_m for route in found)
-    tasks = tasks_of(
-        *(building, settings_arrays(body, n), settings_arrays(tuning, n), settings_arrays(noise, n)),
-        *(np.stack([pose for pose, *_ in begun]), seed, np.arange(n)),
-    )
     max_steps = int(min(max(MAX_STEPS, STEPS_M * longest), MAX_TRACE_STEPS))
-    runs: list[tuple[str, Follower]] = []
+    settings = settings_arrays(body, n), settings_arrays(tuning, n), settings_arrays(noise, n)
+    starts = np.stack([pose for pose, *_ in begun])
+    tasks = tasks_of(building, *settings, starts, seed, np.arange(n), max_steps)
 
     def run_one(i, watch):
-        follower = _follower(world, btm, found[i], tasks[i], begun[i][2], max_steps, watch)
+        follower = _follower(world, btm, found[i], tasks[i], begun[i][2], watch)
         return follower.drive(), follower
 
-    def on_run(i, run):
-        runs.append(run)
-        if on_progress is not None:
-            on_progress(i + 1)
-
-    in_threads(n, run_one, workers, on_run)
+    runs, _ = make_all(n, run_one, workers, on_progress)
     changed, told = _changed(btm, found, runs, body)
     return FollowResult(_table(world, btm, found, runs, building), changed, tuple(told))
 
 
-def _follower(world, btm, route, task, beside, max_steps, watch):
+def _follower(world, btm, route, task, beside, watch):
     """Make the follower of a route; `beside` is its start's offset from the link."""
     nodes, origin = {node.id: node for node in btm.nodes}, np.asarray(world.origin_m)
 
@@ -116,11 +107,12 @@ def _follower(world, btm, route, task, beside, max_steps, watch):
         exits = [math.radians(bearing) for bearing in btm.bearings_deg(step.end)]
         stops.append(Stop(at(nodes[step.end]), nodes[step.end].type == "divergence", exits, out))
     return Follower(
-        *(task.fixed, task.start, task.tuning, max_steps, stops),
+        task,
+        stops,
         begin=at(nodes[route.start]) + beside,
         length_m=route.length_m,
         places=np.reshape([at(node) for node in btm.nodes if node.type == "divergence"], (-1, 2)),
-        on_step=lambda follower: watch(),
+        on_step=watch,
     )
 
 
@@ -170,7 +162,7 @@ def start_of(
         for metres in (m for m in CLEAR_M if m <= max((step.length_m or 0) / 2, CLEAR_M[-1])):
             x_m, y_m = node.x_m + metres * math.cos(angle), node.y_m + metres * math.sin(angle)
             pose = pose_in(world, (x_m + beside[0], y_m + beside[1], step.bearing_deg))
-            if _is_free(world, pose) and not bool(vehicle.touches(device, robot, jnp.asarray(pose))):
+            if not why_unfit(world, device, robot, pose):
                 fits.append((pose, metres, beside))
                 if not bool(vehicle.touches(device, _turning(robot), jnp.asarray(pose))):
                     return fits[-1]
@@ -187,13 +179,6 @@ def _turning(robot):
     """Return a square in which a robot can turn, with some room."""
     side_m = math.hypot(robot.length_m, robot.width_m) + 2 * TURNING_MARGIN_M
     return dataclasses.replace(robot, length_m=side_m, width_m=side_m)
-
-
-def _is_free(world, pose):
-    """Return whether a pose from `pose_in` lies in a free cell."""
-    row, col = (int(v // world.cell_m) for v in (pose[1], pose[0]))
-    rows, cols = world.shape
-    return 0 <= row < rows and 0 <= col < cols and not world.occupied[row, col]
 
 
 def _table(world, btm, found, runs, building):
@@ -227,8 +212,8 @@ def _changed(btm, found, runs, robot):
         for node, bearing in ways:
             ends = [(link.start, link.start_bearing_deg) for link in links.values()]
             ends += [(link.end, link.end_bearing_deg) for link in links.values() if link.start != link.end]
-            there = [own for end, own in ends if end == node and own is not None]
-            if all(abs(apart_deg(bearing, own)) > SAME_EXIT_DEG for own in there):
+            there = [math.radians(own) for end, own in ends if end == node and own is not None]
+            if is_new(math.radians(bearing), there):
                 links[count] = Link(count, node, NOWHERE, STATUS[0], bearing, attributes={FOUND_BY: robot.name})
                 told.append(f"node {node} has a way at {bearing:.0f} degrees that the map did not have")
                 count += 1

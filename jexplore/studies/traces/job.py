@@ -12,8 +12,9 @@ import numpy as np
 from jexplore.config import MAX_RUNS, NUMBER_BOUNDS, InputError, as_record, checked_names, require_setting
 from jexplore.driving import batch
 from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, require_start, settings_arrays
-from jexplore.driving.local.batch import LocalTask, tasks_of
 from jexplore.driving.local.batch import run_missions as run_by_map
+from jexplore.driving.local.batch import tasks_of
+from jexplore.driving.local.window import LocalTask
 from jexplore.driving.mission import MAP_SIZE
 from jexplore.driving.params.groups import default_numbers
 from jexplore.driving.params.tree import Params, params_with
@@ -102,16 +103,17 @@ class TraceJob:
 
     def run(self, setting: np.ndarray, which: np.ndarray, **how: Any) -> batch.MissionResults:
         """Make runs `[n]`, by numbers of settings and of runs; `how` as of `batch.run_missions`."""
-        how = {"max_steps": self.max_steps, "size": self.size, **how}
         if self.perception == "map":
-            return run_by_map(self.local_tasks(setting, which), **how)
-        what = self.building, *self.settings_of(setting), self.starts_of(which), self.seed, which
-        return batch.run_missions(*what, params=self.params_of(setting), **how)
+            return run_by_map(self.local_tasks(setting, which), size=self.size, **how)
+        how = {"max_steps": self.max_steps, "size": self.size, "params": self.params_of(setting), **how}
+        return batch.run_missions(*self._what(setting, which), **how)
+
+    def _what(self, setting, which):
+        return self.building, *self.settings_of(setting), self.starts_of(which), self.seed, which
 
     def local_tasks(self, setting: np.ndarray, which: np.ndarray) -> list[LocalTask]:
         """Return runs `[n]` of robots with a local map, by numbers of settings and of runs."""
-        robots, tunings, noises = self.settings_of(setting)
-        return tasks_of(self.building, robots, tunings, noises, self.starts_of(which), self.seed, which)
+        return tasks_of(*self._what(setting, which), self.max_steps)
 
     def starts_of(self, which: np.ndarray) -> np.ndarray:
         """Return the starts of runs by their numbers: `[n, 3]` float32."""

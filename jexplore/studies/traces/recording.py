@@ -17,7 +17,7 @@ from jexplore.driving.local.run import LocalRun
 from jexplore.driving.mission import MissionTask, RunOutcome, Setup
 from jexplore.driving.params.tree import using
 from jexplore.driving.records import RunMode, State
-from jexplore.driving.sensing import surround
+from jexplore.driving.sensing import perception, surround
 from jexplore.engine.devices import pinned_draws, random_key
 from jexplore.engine.program import Given
 from jexplore.report.operator_view import RunRecording
@@ -123,7 +123,7 @@ def _view(given, state, after):
         draws = vehicle.draw_one(jax.random.fold_in(given.key, state.step), noise)
         senses = vehicle.read_sensors(draws, building, robot, noise, state.body)
         walls = events.walls_of_scan(mission.smooth_senses(senses, robot)[0].ranges_m, tuning, robot)
-        found = events.triangles(*surround.known_points(after.around), walls.beside.min(), tuning)
+        found = perception.find_divergences(*surround.known_points(after.around), walls.beside.min(), tuning)
         best = jnp.argsort(jnp.where(found.valid, jnp.hypot(*found.centre.T), jnp.inf))[:TRIANGLES]
         there = found.valid[best]
         return {
@@ -209,7 +209,7 @@ def _frames_by_map(plan, on_progress):
         ranges = run.pilot.ranges_m
         on_progress(n + 1)
 
-    run = LocalRun(task.fixed, task.start, task.tuning, plan.max_steps, on_step)
+    run = LocalRun(task, on_step)
     ranges = run.pilot.ranges_m
     run.drive()
     series = {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}

@@ -11,10 +11,9 @@ import numpy as np
 import pandas as pd
 
 from jexplore import btm
-from jexplore.config import __version__, checked_names, require_engine
+from jexplore.config import InputError, __version__, checked_names, require_engine
 from jexplore.driving import vehicle
 from jexplore.driving.batch import Driven, outcome_names
-from jexplore.driving.local.batch import require_cpu
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.engine.runner import Costs
 from jexplore.report import store
@@ -98,8 +97,8 @@ def execute(
     Raises:
       KeyboardInterrupt: the first unit has not been finished.
     """
-    if plan.perception == "map":
-        require_cpu(engine, lanes)
+    if plan.perception == "map" and (engine, lanes) != ("auto", None):
+        raise InputError("engine and lanes go with perception triangles: a local map runs on the CPU")
     blocks, (setting, which) = run_blocks(plan), plan.all_runs()
     work = Work(range(len(blocks)), ledger)
     resumed, costs, maps = sum(map(len, work.done.values())), Costs(), {}

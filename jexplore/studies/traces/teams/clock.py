@@ -4,7 +4,6 @@ The robots neither see nor steer by each other: each makes the run that it would
 """
 
 import dataclasses
-import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -13,7 +12,7 @@ import numpy as np
 
 from jexplore.btm import Btm
 from jexplore.driving import mission
-from jexplore.driving.local.batch import in_threads, run_tasks, true_places
+from jexplore.driving.local.batch import make_all, run_task, true_places
 from jexplore.driving.mission import RunOutcome, RunResult
 from jexplore.engine.runner import Costs
 from jexplore.studies.traces.job import TraceJob
@@ -61,31 +60,28 @@ def run_robots(
     Raises:
       KeyboardInterrupt: after Ctrl-C; the others' maps of that time are missing.
     """
-    begin_s, logs = time.perf_counter(), []
-    held: list[list[Held]] = [[] for _ in range(plan.runs)]
+    tasks = plan.local_tasks(*plan.all_runs()) if plan.perception == "map" else []
 
-    def on_run(i, result, way):
-        logs.append(RobotLog(result, way, held[i]))
-        if on_progress is not None:
-            on_progress(len(logs))
+    def by_map(i, watch):
+        held: list[Held] = []
 
-    def on_step(i, run):
-        if len(run.pilot.way) % EXCHANGE_STEPS == 0:
-            held[i].append(Held(jax.device_get(run.map.to_btm(*plan.size)), true_places(run, plan.size[0])))
+        def on_step(run):
+            if len(run.pilot.way) % EXCHANGE_STEPS == 0:
+                held.append(Held(jax.device_get(run.map.to_btm(*plan.size)), true_places(run, plan.size[0])))
+            watch()
+
+        result, way = run_task(tasks[i], plan.size, on_step)
+        return RobotLog(result, way.truth, held)
 
     def by_triangles(i, watch):
+        held: list[Held] = []
         setup, given, state = begin_run(plan, i)
         while int(state.outcome) == RunOutcome.RUNNING:
             state = advance(setup, given, state)
             if int(state.step) % EXCHANGE_STEPS == 0:
-                held[i].append(jax.device_get(Held(state.writer.map, state.node_at)))
+                held.append(jax.device_get(Held(state.writer.map, state.node_at)))
             watch()
-        return jax.device_get((mission.finish(setup, given, state), state.truth[: int(state.step)]))
+        result, truth = jax.device_get((mission.finish(setup, given, state), state.truth[: int(state.step)]))
+        return RobotLog(result, truth, held)
 
-    if plan.perception == "map":
-        tasks = plan.local_tasks(*plan.all_runs())
-        told = {"on_run": lambda i, result, way: on_run(i, result, way.truth), "on_step": on_step}
-        run_tasks(tasks, plan.max_steps, plan.size, workers=workers, **told)
-    else:
-        in_threads(plan.runs, by_triangles, workers, lambda i, found: on_run(i, *found))
-    return logs, Costs(run_s=time.perf_counter() - begin_s)
+    return make_all(plan.runs, by_map if tasks else by_triangles, workers, on_progress)
