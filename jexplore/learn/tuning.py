@@ -25,6 +25,7 @@ from jexplore.report.store import MAX_RECORD_BYTES
 from jexplore.report.tables import aligned_table, ratio_text
 from jexplore.studies.statistics.league import LEAGUE_STRATEGIES
 from jexplore.studies.statistics.over_worlds import ratio_over_worlds
+from jexplore.studies.sweeps.axes import Range
 
 FIRST_SEED = 1000  # of the worlds; the league's are #0 and on
 SHIPPED = Path(__file__).with_name("tuned.json")
@@ -67,9 +68,7 @@ def drawn_settings(name: str, trials: int, seed: int) -> list[dict[str, float]]:
     for _ in range(MAX_DRAWS * trials):
         values = {}
         for key, (span, default) in space.items():
-            low, high = (math.log(end) if span.is_log else end for end in (span.low, span.high))
-            value = low + (high - low) * draw.random()
-            value = math.exp(value) if span.is_log else value
+            value = Range(*span).at(draw.random())
             values[key] = float(f"{value:.3g}") if isinstance(default, float) else round(value)
         with contextlib.suppress(InputError):
             parse_strategy(with_values(name, values))

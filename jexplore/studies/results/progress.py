@@ -7,12 +7,6 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 
-def in_notebook() -> bool:
-    """Return whether this code runs in a cell of a notebook."""
-    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
-    return shell is not None and "IPKernelApp" in shell.config
-
-
 @contextlib.contextmanager
 def progress_bar(
     progress: bool | None, total: int, unit: str, on_progress: Callable[[int], object] | None = None
@@ -22,7 +16,9 @@ def progress_bar(
     Without `progress` there is a bar in a notebook, unless there is an `on_progress`, which is called with the same
     numbers.
     """
-    if not (in_notebook() and on_progress is None if progress is None else progress):
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    in_notebook = shell is not None and "IPKernelApp" in shell.config
+    if not (in_notebook and on_progress is None if progress is None else progress):
         yield on_progress
         return
     with warnings.catch_warnings():

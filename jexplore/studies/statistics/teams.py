@@ -21,8 +21,7 @@ TABLE = (
 def _ratio(rows: Any, reference: Any) -> PairedRatio:
     """Return the ratio of the times until all is known, over the episodes that both have completed."""
     ours, theirs = (one[one["outcome"].isin(DONE)].set_index("episode")["path_m_at_100"] for one in (rows, reference))
-    both = ours.index.intersection(theirs.index)
-    return finite_ratio(ours[both], theirs[both])
+    return finite_ratio(*ours.align(theirs))
 
 
 def tabulate(episodes: pd.DataFrame) -> pd.DataFrame:

@@ -111,8 +111,7 @@ def summarise(episodes: pd.DataFrame, columns: Sequence[str], first: str, metric
         reference = group[group["strategy"] == first].set_index("episode")["path_m"]
         for strategy, some in group.groupby("strategy", sort=False):
             path_m = some.set_index("episode")["path_m"]
-            both = path_m.index.intersection(reference.index)
-            ratio = NO_RATIO._replace(ratio=1.0) if strategy == first else finite_ratio(path_m[both], reference[both])
+            ratio = NO_RATIO._replace(ratio=1.0) if strategy == first else finite_ratio(*path_m.align(reference))
             rows.append(
                 {
                     **{"setting": setting, "world": world, "strategy": strategy},
