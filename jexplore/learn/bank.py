@@ -1,7 +1,7 @@
 """Worlds for training, and what strategies take in them relative to the reference: path, or another measure."""
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -50,24 +50,30 @@ class Bank:
     measure: str = "path_m"
     """Column of the table of episodes that is to be small, one of `coverage.MEASURES`."""
 
-    def log_ratios(self, strategies: Sequence[Strategy], which: Sequence[int], seed: int, **how: Any) -> np.ndarray:
+    def log_ratios(
+        self, strategies: Sequence[Strategy], which: Sequence[int], seed: int, *, workers: int | None = None,
+        on_progress: Callable[[int], object] | None = None,
+    ) -> np.ndarray:  # fmt: skip
         """Compute measures of N strategies relative to the reference's: `[N, K]` float64, see `log_ratio`.
 
         `which` are K numbers of worlds: an episode in each, from another start if a world occurs twice; the same for
-        all strategies. `seed` is that of the starts and all other draws; `how`, workers and on_progress, as of
-        `batch.run_jobs`.
+        all strategies. `seed` is that of the starts and all other draws; `on_progress` as of `batch.run_jobs`.
 
         Raises:
           InputError: the reference finished no episode.
           KeyboardInterrupt: not all were made.
         """
+        how: Any = {"workers": workers, "on_progress": on_progress}
         values = self.values([parse_strategy(REFERENCE), *strategies], which, seed, **how)
         if not np.isfinite(values[0]).any():
             names = ", ".join(sorted({str(self.worlds[i].name) for i in which}))
             raise InputError(f"{REFERENCE} finishes no episode in {names}: ratios to its measure have no meaning")
         return log_ratio(values[1:], values[0])
 
-    def values(self, strategies: Sequence[Strategy], which: Sequence[int], seed: int, **how: Any) -> np.ndarray:
+    def values(
+        self, strategies: Sequence[Strategy], which: Sequence[int], seed: int, *, workers: int | None = None,
+        on_progress: Callable[[int], object] | None = None,
+    ) -> np.ndarray:  # fmt: skip
         """Compute the measure of strategies, from the same starts: `[N, K]` float64, in the unit of its column.
 
         inf where an episode did not end COMPLETE or EXPLORED. Arguments as of `log_ratios`.
@@ -79,7 +85,7 @@ class Bank:
         for number, place, starts in self.episodes(which, seed):
             jobs += [Job(self.worlds[number], one, starts, seed) for one in strategies]
             places += [place] * len(strategies)
-        report = run_jobs(jobs, self.lidar, self.rules, **how)
+        report = run_jobs(jobs, self.lidar, self.rules, workers=workers, on_progress=on_progress)
         table = np.full((len(strategies), len(which)), np.inf)
         for i, (job, place, outcome) in enumerate(zip(jobs, places, report.outcomes)):
             found = outcome.result
