@@ -20,7 +20,7 @@ class Bound(WorkerOptions, ResumeOptions, RobotOptions):
     """
 
     worlds: Positional[tuple[str, ...]] = ()
-    """Worlds, as for `jexplore compare`."""
+    """Worlds, as for `jexplore compare` (required)."""
     starts: int = 5
     """Number of starts to bound in each world: those of the first episodes of `jexplore compare`."""
     seed: int = 0

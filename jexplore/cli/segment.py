@@ -20,7 +20,7 @@ class Segment(OutOptions):
 
     maps: Positional[tuple[str, ...]] = ()
     """Divide these maps, named as for `jexplore worlds`: map.png@0.05 (metres a pixel), map.yaml, or generators such as
-    office#3."""
+    office#3 (required)."""
     truth: tuple[str, ...] | None = None
     """Score against these pictures of the maps with doorways closed by lines, in the same order and size. Generators
     know their rooms."""

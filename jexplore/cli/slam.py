@@ -20,7 +20,8 @@ class Slam(OutOptions):
     """
 
     log: Positional[str] = ""
-    """A CARMEN log (.log, .clf, or packed, .log.gz), or a rosbag with laser scans and odometry (.bag, .db3, .mcap)."""
+    """A CARMEN log (.log, .clf, or packed, .log.gz), or a rosbag with laser scans and odometry (.bag, .db3, .mcap)
+    (required)."""
     closing: bool = True
     """Recognise places and correct the way by what they tell."""
     cell_m: float = 0.05

@@ -135,7 +135,7 @@ class Merge(ReportOptions, TrustOptions):
     """
 
     parts: Positional[tuple[str, ...]] = ()
-    """Folders of all the parts."""
+    """Folders of all the parts (required)."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
