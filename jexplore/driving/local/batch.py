@@ -37,7 +37,7 @@ def tasks_of(
     draws: np.ndarray,
     max_steps: int,
 ) -> list[LocalTask]:
-    """Return the runs; arguments as of `driving.batch.run_missions`."""
+    """Return the runs, each of at most `max_steps`; other arguments as of `driving.batch.run_missions`."""
     key, on_device = random_key(np.uint32(seed)), jax.device_put(building, (cpu_devices() or jax.devices())[0])
     robots = dataclasses.replace(robots, name="")  # a name would make another program
     found = []
@@ -115,7 +115,8 @@ def run_missions(
     blocks = [(0, len(tasks))] if blocks is None else blocks
 
     def run_one(i, watch):
-        return run_task(tasks[i], size, lambda run: watch())
+        result, way = run_task(tasks[i], size, lambda run: watch())
+        return result, way if i == 0 else None  # those of thousands of runs would fill the memory
 
     work = [
         HostRuns(n, lambda i, watch, first=first: run_one(first + i, watch), phase)
