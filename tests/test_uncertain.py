@@ -20,7 +20,7 @@ from jexplore.policies.closest import closest
 from jexplore.rules import Lidar, Odometry, Rules
 from jexplore.slam2d import beams
 from jexplore.slam2d.beams import Reading, fold
-from jexplore.slam2d.odometry import encoded, step_covariance
+from jexplore.slam2d.odometry import encoded, learned, spread, step_covariance, unknown_errors
 
 EXACT = Odometry(length=0, turn=0, heading_deg_sqrt_m=0, slip=0)
 ROUGH = Odometry(
@@ -126,6 +126,32 @@ def test_the_stated_covariance_is_that_of_draws():
     assert np.all(np.diagonal(step_covariance(EXACT, jnp.float32(0), jnp.float32(0))) > 0)
 
 
+@pytest.mark.jit
+def test_systematic_errors_are_those_of_a_kalman_filter():
+    """A filter of six numbers in float64, pose and errors; a match measures the pose at every third step."""
+    rng, sd = np.random.default_rng(1), np.array([0.05, np.hypot(0.05, 0.05), np.radians(3)])
+    errors, covariance = unknown_errors(), jnp.zeros((3, 3))
+    mean, own = np.zeros(6), np.diag([0.0, 0, 0, *sd**2])
+    predict, update = jax.jit(spread), jax.jit(learned)
+    for step in range(30):
+        (x, y), turn = moved, _ = rng.normal(0, 0.2, 2), rng.normal(0, 0.5)
+        way, jacobian = np.hypot(x, y), np.eye(6)
+        jacobian[:3, 2:] += [[-y, x, 0, 0], [x, y, 0, 0], [0, 0, turn, way]]
+        drawn = np.asarray(step_covariance(ROUGH, jnp.float32(way), jnp.float32(turn)))
+        own = jacobian @ own @ jacobian.T + np.pad(drawn, (0, 3))
+        errors, covariance = predict(ROUGH, errors, covariance, *map(jnp.float32, (moved, way, turn)))
+        np.testing.assert_allclose(covariance, own[:3, :3], atol=1e-5)
+        if step % 3 == 2:
+            across = rng.normal(size=(3, 2))  # of two directions of the pose the scan tells
+            gain = own[:, :3] @ across @ np.linalg.inv(across.T @ own[:3, :3] @ across + 1e-4 * np.eye(2))
+            off = gain @ rng.normal(0, 0.02, 2)
+            mean, own = mean + off, own - gain @ across.T @ own[:3]
+            errors = update(errors, covariance, *map(jnp.float32, (off[:3], own[:3, :3])))
+            covariance = jnp.float32(own[:3, :3])
+            np.testing.assert_allclose(errors.error * sd, mean[3:], atol=1e-4)
+            np.testing.assert_allclose(errors.covariance * np.outer(sd, sd), own[3:, 3:], atol=1e-5)
+
+
 # --- motion
 
 
@@ -168,7 +194,6 @@ def test_a_motion_is_that_of_plain_numpy(motion):
         np.testing.assert_allclose(found[:2], one[:2], atol=2e-4)
         off = float(found[2] + after.heading * EIGHTH - one[2])
         assert abs((off + np.pi) % (2 * np.pi) - np.pi) < 1e-4
-    assert np.all(np.diagonal(after.poses.covariance) > np.diagonal(poses.covariance))
     idle, bumped = moving.turn_and_go(given, state, jnp.int32(heading), jnp.bool_(True), jnp.bool_(False))
     assert not bumped
     jax.tree.map(np.testing.assert_array_equal, (idle.poses, idle.belief), (state.poses, state.belief))
@@ -318,6 +343,7 @@ def test_wrong_options_are_refused_in_a_line(given, message):
 
 STRATEGY, N = "closest+recheck", 3
 NOISE = {"length": 0.05, "length_scale": 1.05, "heading_deg_sqrt_m": 2.0}
+TOLD = {"told": lambda view: view.poses.errors.error[0]}
 SHORT = {"n_beams": 91, "range_m": 3.0}  # one room is not seen from the other
 
 
@@ -325,12 +351,12 @@ SHORT = {"n_beams": 91, "range_m": 3.0}  # one room is not seen from the other
 def by_pose(jit_on):
     with jit_on():
         return {
-            name: jx.compare(two_rooms(), STRATEGY, episodes=N, pose=pose, odometry=noise, lidar=SHORT)
-            for name, pose, noise in (
-                ("true", "true", None),
-                ("exact", "odometry", EXACT),
-                ("odometry", "odometry", NOISE),
-                ("icp", "icp", NOISE),
+            name: jx.compare(two_rooms(), STRATEGY, episodes=N, pose=pose, odometry=noise, lidar=SHORT, metrics=metrics)
+            for name, pose, noise, metrics in (
+                ("true", "true", None, {}),
+                ("exact", "odometry", EXACT, TOLD),
+                ("odometry", "odometry", NOISE, TOLD),
+                ("icp", "icp", NOISE, TOLD),
             )
         }
 
@@ -346,6 +372,7 @@ def test_without_errors_an_episode_is_that_of_a_given_pose(by_pose):
         "bumps",
         "unmatched",
         "loops",
+        "told",
     }
     for name in expected:
         if expected[name].dtype.kind == "f":  # lengths are sums of rounded steps
@@ -367,6 +394,9 @@ def test_matching_scans_makes_better_maps_than_odometry(by_pose):
     for worse in ("ate_m", "end_error_m", "end_error_deg"):
         assert icp[worse].mean() < odometry[worse].mean() / 2
     assert odometry["free_iou"].mean() < icp["free_iou"].mean()
+    assert (odometry["told"] == 0).all()
+    length = 1 + (NOISE["length_scale"] - 1) * icp["told"]  # by which it takes the odometry to err, after about a metre
+    assert ((length > 1 / NOISE["length_scale"] - 0.005) & (length < 0.995)).all()
     assert "ate_m" in by_pose["icp"].summary
 
 
@@ -392,10 +422,11 @@ def test_an_episode_is_drawn_with_both_ways_and_not_replayed(by_pose, tmp_path):
 @pytest.mark.jit
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("pose", "noise", "outcome"), [("icp", {"slip": 0.5}, "LOST"), ("odometry", {"turn_scale": 2.0}, "INCONSISTENT")]
+    ("pose", "noise", "outcome"),
+    [("icp", {"turn": 0.5, "slip": 0.5}, "LOST"), ("odometry", {"turn_scale": 2.0}, "INCONSISTENT")],
 )
 def test_bad_odometry_ends_episodes(pose, noise, outcome):
-    """Half of every turn is lost, more than a search allows for; walls are counted all round the robot."""
+    """Half of every turn is lost on average, more than a search allows for; walls are counted all round the robot."""
     found = jx.compare(two_rooms(), STRATEGY, episodes=24, pose=pose, odometry=noise, lidar=SHORT)
     ended = found.episodes[found.episodes["outcome"] == outcome]
     assert len(ended) > 0

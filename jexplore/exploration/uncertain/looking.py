@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jexplore.arrays.loops import run_if
+from jexplore.arrays.loops import pick, run_if
 from jexplore.arrays.poses import wrapped
 from jexplore.engine.program import Given
 from jexplore.exploration.sensing import known_cells, square_round, stacked
@@ -20,6 +20,7 @@ from jexplore.slam2d import beams, matching
 from jexplore.slam2d.beams import Reading
 from jexplore.slam2d.closing import Scanner
 from jexplore.slam2d.mapping import enter
+from jexplore.slam2d.odometry import learned
 from jexplore.slam2d.scans import read_scan
 from jexplore.slam2d.tracking import locate
 
@@ -132,6 +133,9 @@ def _matched(given: Given, poses: Poses, heading: Array, reading: Reading, cell_
     start = jnp.stack([x * cell_m, y * cell_m, wrapped(heading * EIGHTH + more)])
     found = locate(own.matching, mapping.points, scan, start, poses.covariance)
     failed, is_first = found.outcome >= matching.Outcome.FAR, mapping.n_keys == 0
+    off = found.pose - start
+    off = off.at[2].set(wrapped(off[2]))
+    errors = pick(failed, poses.errors, learned(poses.errors, poses.covariance, off, found.covariance))
     mapping, is_key = enter(own.matching, mapping, ranges_m, scan, found)
     if poses.key_of is not None:
         mapping, moved = look_for_loop(own.matching, mapping, scanner, is_key)
@@ -139,6 +143,7 @@ def _matched(given: Given, poses: Poses, heading: Array, reading: Reading, cell_
     poses = poses.replace(
         estimate=jnp.where(failed & ~moved, poses.estimate, estimate),
         covariance=found.covariance,
+        errors=errors,
         mapping=mapping,
         unmatched=poses.unmatched + (failed & ~is_first),
     )

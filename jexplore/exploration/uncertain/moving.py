@@ -15,7 +15,7 @@ from jexplore.exploration.state import State, Stream
 from jexplore.exploration.uncertain.poses import EIGHTH, cell_of, rounded
 from jexplore.grid import Grid
 from jexplore.reach import HEADING, MOTIONS
-from jexplore.slam2d.odometry import encoded, step_covariance
+from jexplore.slam2d.odometry import corrected, encoded, spread
 
 PARTS = 8  # of a step, after each of which the robot sees whether it is in a wall
 MOST_CELLS = 2.5  # of a step: from a corner of where a robot stays in its cell to the middle of the next one
@@ -49,6 +49,7 @@ def turn_and_go(given: Given, state: State, heading: Array, goes: Array, when: A
     turn = wrapped((heading - state.heading) * EIGHTH + aside - poses.estimate[2])
     way = jnp.hypot(wanted[0], wanted[1])
     told_m, told_turn = encoded(noise, way * cell_m, turn, way * cell_m, draws)
+    told_m, told_turn = corrected(noise, poses.errors, told_m, told_turn, way * cell_m)
 
     true_turn = poses.true[2] - poses.estimate[2] + aside - noise.slip * turn
     driven = rotated(wanted, true_turn - aside)
@@ -56,12 +57,13 @@ def turn_and_go(given: Given, state: State, heading: Array, goes: Array, when: A
     off = aside + told_turn - turn
     told = rotated(wanted, told_turn - turn) * (share * told_m / jnp.maximum(way * cell_m, 1e-9))
     told = jnp.where(way > 0, told, rotated(jnp.float32([1, 0]), heading * EIGHTH + off) * told_m / cell_m)
-    covariance = _spread(poses.covariance, told * cell_m) + step_covariance(noise, way * cell_m, turn)
+    errors, covariance = spread(noise, poses.errors, poses.covariance, told * cell_m, way * cell_m, turn)
 
     moved = poses.replace(
         true=jnp.append(poses.true[:2] + driven * share, true_turn),
         estimate=jnp.append(poses.estimate[:2] + told, off),
         covariance=covariance,
+        errors=errors,
         way_m=poses.way_m + way * share * cell_m,
         motions=poses.motions + 1,
         bumps=poses.bumps + (share < 1),
@@ -89,12 +91,6 @@ def _share_driven(given: Given, xy: Array, driven: Array) -> Array:
     occupied, base = stacked(given, jnp.asarray(given.scenes.occupied))
     walls = occupied[base + at[:, 1], at[:, 0]]
     return jnp.sum(jnp.cumsum(walls) == 0) / PARTS
-
-
-def _spread(covariance: Array, moved_m: Array) -> Array:
-    """Return a covariance after a step `[2]`, metres: an error of the heading becomes one of the place."""
-    jacobian = jnp.eye(3).at[:2, 2].set(jnp.stack([-moved_m[1], moved_m[0]]))
-    return jacobian @ covariance @ jacobian.T
 
 
 def _pick_pose(when: Array, new: State, old: State) -> State:

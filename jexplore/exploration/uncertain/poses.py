@@ -11,6 +11,7 @@ from jexplore.arrays.poses import rotated
 from jexplore.grid import Grid
 from jexplore.rules import Odometry
 from jexplore.slam2d.mapping import Sizes, blank
+from jexplore.slam2d.odometry import Systematic, unknown_errors
 from jexplore.slam2d.settings import SlamSettings
 
 EIGHTH = 0.7853981633974483  # radians, between headings of the lattice
@@ -79,6 +80,7 @@ class Poses:
     true: Array  # [3] float32
     estimate: Array  # [3] float32
     covariance: Array  # [3, 3] float32, of the estimate, m^2 and rad^2
+    errors: Systematic  # of its odometry
     seen: Grid | None  # [H, W], the map that the scans would make if the pose were given; None: it is given
     trail: Array  # [T + 1, 5] float32, `TRAIL` at the start and after every step
     way_m: Array  # float32, driven in truth
@@ -109,6 +111,7 @@ def blank_poses(unsure: Unsure, grid: Grid, capacity: int, start: Any, cell_m: A
         true=pose,
         estimate=pose,
         covariance=jnp.zeros((3, 3), jnp.float32),
+        errors=unknown_errors(),
         seen=None if unsure.rides else grid,
         trail=trail,
         way_m=zero,
