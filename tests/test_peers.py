@@ -8,9 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from ref import beliefs, plans
+from ref import beliefs, maps, plans, simulator
 from ref import gain as oracle
 from ref.beliefs import belief_of
+from ref.episodes import assert_equal_episodes, clear_cells, play, replay
 
 from jexplore.planning import field
 from jexplore.policies import parse_strategy
@@ -18,7 +19,7 @@ from jexplore.policies.peers import random_tree
 from jexplore.policies.peers.exploration_transform import STEPS, Params, descent, transform
 from jexplore.policies.peers.nearest_region import goals, nearest_region
 from jexplore.reach import FAR, MOTIONS
-from jexplore.rules import Lidar
+from jexplore.rules import Lidar, Rules
 
 pytestmark = pytest.mark.jit
 
@@ -55,25 +56,66 @@ def test_least_size_decides_and_an_exhausted_centroid_gives_way():
         assert ((int(choice.row), int(choice.col)), bool(choice.is_view)) == (want, want == CENTROID)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_goals_are_those_of_the_oracle(seed):
-    belief = beliefs.after_scans(seed, (30, 34), range_cells=6)
-    reached = jax.jit(field)(belief)
-    cost, frontier = np.asarray(reached.cost), np.asarray(reached.frontier)
-    label, want = plans.clusters(frontier), []
+def regions(frontier, cost, exhausted):
+    """Goals: `(row, col, is_centroid, cells)` of each region, in the order of the lowest cells."""
+    label, found = plans.clusters(frontier), []
     for i in range(label.max() + 1):
         cells = np.argwhere(label == i)
         mean = cells.sum(axis=0) / len(cells)
         at = tuple(np.floor(mean + 0.5).astype(int))
-        is_centroid = cost[at] < FAR and not frontier[at]
+        is_centroid = cost[at] < FAR and not frontier[at] and not exhausted[at]
         if not is_centroid:
             at = tuple(cells[((cells - mean) ** 2).sum(axis=1).round(9).argmin()])
-        want.append((*map(int, at), is_centroid, len(cells)))
+        found.append((*map(int, at), bool(is_centroid), len(cells)))
+    return found
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_goals_are_those_of_the_oracle(seed):
+    belief = beliefs.after_scans(seed, (30, 34), range_cells=6)
+    reached = jax.jit(field)(belief)
+    want = regions(*map(np.asarray, (reached.frontier, reached.cost, belief.exhausted)))
     *found, overflow = jax.jit(goals)(belief, reached)
     assert [tuple(one) for one in zip(*(a[: len(want)].tolist() for a in found))] == want
     assert {one[2] for one in want} == {True, False}
-    assert int(found[3].sum()) == frontier.sum()
+    assert int(found[3].sum()) == reached.frontier.sum()
     assert int(overflow) == 0
+
+
+class Yamauchi(simulator.Robot):
+    """The robot of the oracle, on its way to regions of at least 0.6 m."""
+
+    is_view, views = False, 0
+
+    def chosen(self, choose, targets, cost):
+        found = regions(targets, cost, self.exhausted)
+        large = [one for one in found if 0.2 * one[3] >= 0.6] or found
+        *target, self.is_view, _ = min(large, key=lambda one: cost[one[:2]])
+        Yamauchi.views += self.is_view
+        return tuple(target)
+
+    def live(self, target):
+        """Return whether a look all round from a centroid would show an unknown cell."""
+        if not self.is_view:
+            return super().live(target)
+        return oracle.look(self.result.hits, self.result.misses, *target, FEW.n_beams, FEW.fov_deg, 10)[1] > 0
+
+
+FEW = Lidar(n_beams=31, range_m=2.0)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_whole_episodes_of_regions_are_the_oracles(seed, monkeypatch):
+    occupied, rooms = maps.cluttered(seed, 34, 44)
+    start, rules = (*clear_cells(occupied, 2)[seed], 90), Rules()
+    monkeypatch.setattr(simulator, "Robot", Yamauchi)
+    monkeypatch.setattr(Yamauchi, "views", 0)
+    for strategy in ("nearest-region", "nearest-region+recheck"):
+        result, state = play(occupied, start, strategy, FEW, rules, cell_m=0.2, rooms=rooms)
+        want = replay(occupied, start, strategy, FEW, rules, cell_m=0.2, rooms=rooms)
+        assert_equal_episodes(result, state, want, cell_m=0.2, rooms=rooms)
+        assert want.steps > 100
+    assert Yamauchi.views > 10
 
 
 # A frontier 5 m to the right down the middle of a lane, another 4 m to the left in a bay one cell wide.

@@ -225,22 +225,26 @@ class Robot:
             targets = np.zeros_like(targets)
             targets[self.home] = cost[self.home] < plans.FAR
             choose = None
-        flat = np.flatnonzero(targets)
         self.result.plans += 1
         self.result.events.append(("plan",))
         plan = Plan(self.cell, None, 0, [])
-        if flat.size:
-            if choose is None:
-                chosen = plans.closest(targets, cost)
-            else:
-                chosen = int(choose(flat, cost.flat[flat], self.result.plans - 1))
-            if chosen not in flat:
-                raise ValueError(f"expected one of the candidates, got {chosen}")
-            target = divmod(chosen, known.shape[1])
+        if targets.any():
+            target = self.chosen(choose, targets, cost)
             plan = Plan(self.cell, target, int(cost[target]), plans.path(pred, self.cell, target))
         self.result.log.append(plan)
         self.target = plan.target
         return plan
+
+    def chosen(self, choose, targets, cost):
+        """Return one of the targets."""
+        flat = np.flatnonzero(targets)
+        if choose is None:
+            chosen = plans.closest(targets, cost)
+        else:
+            chosen = int(choose(flat, cost.flat[flat], self.result.plans - 1))
+        if chosen not in flat:
+            raise ValueError(f"expected one of the candidates, got {chosen}")
+        return divmod(chosen, targets.shape[1])
 
     def arrive(self, target, n_looks, over):
         """Look around at a live target; one that is live even then is exhausted. Returns an outcome, or None."""
