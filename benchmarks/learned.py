@@ -2,12 +2,14 @@
 
     python benchmarks/learned.py DIR [STRATEGY]
     python benchmarks/learned.py --seeds DIR...
+    python benchmarks/learned.py --models DIR
 
 DIR: what `jexplore compare` wrote, best of many worlds, with `--bounds` for the last table. Prints ratios of the paths
 of STRATEGY (default learned+recheck) to those of every other strategy there, over worlds and by kind, with 95 %
 intervals; the worlds in which it loses most against the best of the others; and all compared with the shortest walk
 found with the map. With --seeds, all strategies but the first are one, trained with several seeds: the ratio of its
-paths to those of the first, with an interval over other seeds and other worlds of these kinds.
+paths to those of the first, with an interval over other seeds and other worlds of these kinds. With --models, ratios of
+all strategies but the first to it: paths and times to shares of the cells known, and areas above the curve.
 """
 
 import math
@@ -25,6 +27,9 @@ from jexplore.studies.statistics.over_worlds import comparable_paths, kind_of, m
 from jexplore.studies.statistics.paired import t_interval
 
 SHARES = {f"path_m_at_{share}": f"{share} %" for share in (50, 90, 95, 99)} | {"path_m": "100 %"}
+MEASURES = {column: f"path to {share}" for column, share in SHARES.items()} | {"area_m": "area, path"}
+MEASURES |= {column.replace("path_m", "time_s"): f"time to {share}" for column, share in SHARES.items()}
+MEASURES |= {"area_s": "area, time", "energy_j": "energy"}
 
 
 def beside(episodes, name, other, column="path_m"):
@@ -65,10 +70,25 @@ def seeds(episodes):
     return markdown(["known", "worlds", f"over {first}", *names], rows)
 
 
+def models(episodes):
+    """Tabulate ratios of strategies to the first one, by measure, with intervals over worlds of these kinds."""
+    first, *names = episodes["strategy"].unique()
+    rows = []
+    for column, told in MEASURES.items():
+        rows.append([told])
+        for name in names:
+            own = beside(episodes, name, first, column).dropna()
+            rows[-1].append(ratio_text(*np.exp(mean_over_worlds(own, [kind_of(world) for world in own.index])[:3])))
+    return markdown([f"over {first}", *(name.rpartition("/")[2] for name in names)], rows)
+
+
 def main(arguments):
     if arguments[0] == "--seeds":
         read = pd.concat(pd.read_parquet(Path(folder) / "episodes.parquet") for folder in arguments[1:])
         print(seeds(read.drop_duplicates(["world", "strategy", "episode"])))
+        return
+    if arguments[0] == "--models":
+        print(models(pd.read_parquet(Path(arguments[1]) / "episodes.parquet")))
         return
     folder, name = Path(arguments[0]), arguments[1] if len(arguments) > 1 else "learned+recheck"
     episodes = pd.read_parquet(folder / "episodes.parquet")
