@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.tree_util import register_dataclass
 
+from jexplore.arrays.loops import pick
 from jexplore.rules import Odometry
 from jexplore.slam2d.matching import inverted
 
@@ -33,49 +34,56 @@ def encoded(noise: Odometry, way: Array | float, turn: Array | float, flat: Arra
     return way * length + noise.length_m_sqrt_rad * draws[3] * jnp.sqrt(jnp.abs(turn)), turned
 
 
-class Systematic(NamedTuple):
-    """Systematic errors of the odometry, as far as matched scans have told them: a robot knows how large they may be,
-    and not their sign. In standard deviations: of the length and the turn it reports, and of its bias of the heading.
+class SystematicErrors(NamedTuple):
+    """Estimate of the systematic errors of the odometry: of lengths, of turns, and the bias of the heading.
+
+    A robot knows how large they are, not their sign. They are in units of that size, positive where the encoders report
+    too much: logarithms of what lengths and turns are multiplied by, and radians per metre.
     """
 
-    error: Array  # [3] float32, estimate of what is to be added to the reported motion
+    error: Array  # [3] float32
     covariance: Array  # [3, 3] float32
-    with_pose: Array  # [3, 3] float32, covariances of the pose (rows; m, m, rad) with these errors
+    with_pose: Array  # [3, 3] float32, covariance of the pose (rows: m, m, rad) with these errors
 
 
-def unknown_errors() -> Systematic:
-    """Return the `Systematic` of a robot that has matched nothing."""
-    return Systematic(jnp.zeros(3), jnp.eye(3), jnp.zeros((3, 3)))
+def unknown_errors() -> SystematicErrors:
+    """Return the `SystematicErrors` of a robot that has matched no scan."""
+    return SystematicErrors(jnp.zeros(3), jnp.eye(3), jnp.zeros((3, 3)))
 
 
-def corrected(noise: Odometry, errors: Systematic, way: Array, turn: Array, flat: Array) -> tuple[Array, Array]:
+def corrected(noise: Odometry, errors: SystematicErrors, way: Array, turn: Array, flat: Array) -> tuple[Array, Array]:
     """Return a reported motion without its systematic errors: `(way, turn)`, metres and radians; see `encoded`."""
-    length, turned, bias = errors.error * _sds(noise)
-    return way * (1 + length), turn * (1 + turned) + bias * flat
+    length, turned, bias = errors.error * _sizes(noise)
+    return way * jnp.exp(-length), (turn - bias * flat) * jnp.exp(-turned)
 
 
 def spread(
-    noise: Odometry, errors: Systematic, covariance: Array, moved: Array, way: Array, turn: Array
-) -> tuple[Systematic, Array]:
-    """Return errors and covariance `[3, 3]` (m^2, m rad, rad^2) of an estimated pose after a motion.
+    noise: Odometry, errors: SystematicErrors, covariance: Array, moved: Array, turn: Array
+) -> tuple[SystematicErrors, Array]:
+    """Return errors and covariance `[3, 3]` (m^2, m rad, rad^2) of an estimated pose after a turn and a way.
+
+    To first order; what the heading's error adds to the place in second order counts as drawn.
 
     Args:
-      covariance: `[3, 3]` float32, before it.
-      moved: `[2]` float32, the motion in the map's frame, metres.
-      way: float32, its length, metres.
+      covariance: `[3, 3]` float32, before them.
+      moved: `[2]` float32, the way in the map's frame, metres.
       turn: float32, radians.
     """
-    jacobian = jnp.eye(3).at[:2, 2].set(jnp.stack([-moved[1], moved[0]]))
-    length, turned, bias = _sds(noise)
-    by_error = jnp.zeros((3, 3)).at[:2, 0].set(length * moved).at[2, 1].set(turned * turn).at[2, 2].set(bias * way)
-    before = jacobian @ errors.with_pose
-    after = before + by_error @ errors.covariance
-    covariance = jacobian @ covariance @ jacobian.T + before @ by_error.T + by_error @ after.T
-    return errors._replace(with_pose=after), covariance + step_covariance(noise, way, turn)
+    way = jnp.hypot(moved[0], moved[1])
+    by_heading = jnp.eye(3).at[:2, 2].set(jnp.stack([-moved[1], moved[0]]))
+    length, turned, bias = _sizes(noise)
+    by_error = jnp.zeros((3, 3)).at[:2, 0].set(-length * moved).at[2, 1].set(-turned * turn).at[2, 2].set(-bias * way)
+    after_turn = errors.with_pose + by_error @ errors.covariance
+    covariance += errors.with_pose @ by_error.T + by_error @ after_turn.T + step_covariance(noise, way, turn)
+    second = 0.75 * (way * covariance[2, 2]) ** 2  # the mean of (way heading^2 / 2)^2
+    covariance = by_heading @ covariance @ by_heading.T + second * jnp.diag(jnp.float32([1, 1, 0]))
+    return errors._replace(with_pose=by_heading @ after_turn), covariance
 
 
-def learned(errors: Systematic, prior: Array, off: Array, posterior: Array) -> Systematic:
-    """Return the errors after a match: their regression on the pose (Kalman filter with an augmented state).
+def learned(errors: SystematicErrors, prior: Array, off: Array, posterior: Array) -> SystematicErrors:
+    """Return the errors after a match, regressed on the pose: a Kalman filter of pose and errors.
+
+    A match adds knowledge: where rounding has it otherwise, the errors stay, taken to be independent of the pose.
 
     Args:
       prior: `[3, 3]` float32, covariance of the predicted pose, positive.
@@ -87,11 +95,11 @@ def learned(errors: Systematic, prior: Array, off: Array, posterior: Array) -> S
     """
     known = inverted(prior)
     gain = errors.with_pose.T @ known
-    return Systematic(
-        errors.error + gain @ off,
-        errors.covariance - gain @ (prior - posterior) @ gain.T,
-        posterior @ known @ errors.with_pose,
-    )
+    covariance = errors.covariance - gain @ (prior - posterior) @ gain.T
+    new = SystematicErrors(errors.error + gain @ off, covariance, posterior @ known @ errors.with_pose)
+    left, before = jnp.diagonal(covariance), jnp.diagonal(errors.covariance)
+    is_sound = jnp.all((left >= 0) & (left <= before)) & jnp.all(jnp.isfinite(new.with_pose))
+    return pick(is_sound, new, errors._replace(with_pose=jnp.zeros((3, 3))))
 
 
 def step_covariance(noise: Odometry, way: Array, turn: Array) -> Array:
@@ -101,12 +109,7 @@ def step_covariance(noise: Odometry, way: Array, turn: Array) -> Array:
     return jnp.diag(jnp.stack([place, place, (noise.turn * turn) ** 2 + walk2 + FLOOR_RAD**2]))
 
 
-def _sds(noise):
-    """Return the standard deviations of systematic errors: relative, of lengths and turns; of the heading, rad/m."""
-    return jnp.stack(
-        [
-            jnp.abs(jnp.asarray(noise.length_scale - 1)),
-            jnp.hypot(noise.turn_scale - 1, noise.slip),
-            jnp.abs(jnp.radians(noise.heading_bias_deg_m)),
-        ]
-    )
+def _sizes(noise):
+    """Return the sizes of systematic errors `[3]`: logarithms of scales of lengths and turns; rad/m."""
+    turn = jnp.hypot(jnp.log(noise.turn_scale), jnp.log1p(-noise.slip))
+    return jnp.stack([jnp.abs(jnp.log(noise.length_scale)), turn, jnp.radians(jnp.abs(noise.heading_bias_deg_m))])

@@ -65,7 +65,7 @@ def look(setup: Setup, given: Given, state: State, when: Array) -> State:
 
     belief, poses, n_known, heading = run_if(when, scanned, parts)
     sd2 = jnp.diagonal(poses.covariance)
-    is_lost = (jnp.max(sd2[:2]) > LOST_M**2) | (sd2[2] > LOST_RAD**2)
+    is_lost = ~((jnp.max(sd2[:2]) <= LOST_M**2) & (sd2[2] <= LOST_RAD**2))
     is_lost &= (state.outcome == Outcome.RUNNING) & is_matched & when
     return state.replace(
         belief=belief,

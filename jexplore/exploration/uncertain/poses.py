@@ -11,7 +11,7 @@ from jexplore.arrays.poses import rotated
 from jexplore.grid import Grid
 from jexplore.rules import Odometry
 from jexplore.slam2d.mapping import Sizes, blank
-from jexplore.slam2d.odometry import Systematic, unknown_errors
+from jexplore.slam2d.odometry import SystematicErrors, unknown_errors
 from jexplore.slam2d.settings import SlamSettings
 
 EIGHTH = 0.7853981633974483  # radians, between headings of the lattice
@@ -79,8 +79,8 @@ class Poses:
 
     true: Array  # [3] float32
     estimate: Array  # [3] float32
-    covariance: Array  # [3, 3] float32, of the estimate, m^2 and rad^2
-    errors: Systematic  # of its odometry
+    covariance: Array  # [3, 3] float32, of the estimate, m^2, m rad, rad^2
+    errors: SystematicErrors  # of its odometry
     seen: Grid | None  # [H, W], the map that the scans would make if the pose were given; None: it is given
     trail: Array  # [T + 1, 5] float32, `TRAIL` at the start and after every step
     way_m: Array  # float32, driven in truth
