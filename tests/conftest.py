@@ -222,6 +222,16 @@ def body(tmp_path_factory):
 
 
 @pytest.fixture
+def ax():
+    """Axes as large as their figure."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(4, 3))
+    yield figure.add_axes((0, 0, 1, 1))
+    figure.clear()
+
+
+@pytest.fixture
 def forgetful():
     """Libraries are looked for anew, and warnings said again; afterwards as well."""
     from jexplore.native import build

@@ -6,16 +6,15 @@ import jax
 import numpy as np
 import pytest
 from ref import maps, simulator
+from ref.jobs import assert_equal, some_jobs
 from scipy import ndimage
 
 from jexplore.arrays.padding import bucket
-from jexplore.exploration.batch import Job, run_jobs
+from jexplore.exploration.batch import run_jobs
 from jexplore.exploration.site import prepare_site
 from jexplore.exploration.state import Outcome
 from jexplore.native.build import find_compiler
-from jexplore.policies import parse_strategy
 from jexplore.rules import Lidar, Rules
-from jexplore.worlds.starts import draw_starts
 from jexplore.worlds.world import World
 
 LIDAR, RULES = Lidar(range_m=2.0, n_beams=37), Rules(max_plans=30)
@@ -62,17 +61,7 @@ def test_the_trail_has_room_for_as_many_steps_as_are_asked_for():
 
 @pytest.fixture(scope="module")
 def jobs():
-    """Two worlds, of one padded size, and three strategies."""
-    worlds = []
-    for seed, shape in ((1, (40, 44)), (2, (50, 36))):
-        occupied, rooms = maps.cluttered(seed, *shape)
-        worlds.append(World(occupied=occupied, rooms=rooms, name=f"cluttered {seed}"))
-    strategies = [parse_strategy(name) for name in ("closest", "closest+recheck", "random+recheck")]
-    return [
-        Job(world, strategy, draw_starts(world, 5, 4, RULES.clearance_m), seed=7)
-        for world in worlds
-        for strategy in strategies
-    ]
+    return some_jobs(("closest", "closest+recheck", "random+recheck"))
 
 
 @pytest.fixture(scope="module")
@@ -81,20 +70,11 @@ def one_worker(jobs, jit_on):
         return run_jobs(jobs, LIDAR, RULES, workers=1).outcomes
 
 
-def assert_equal(got, want):
-    """Results and first maps, bit by bit."""
-    jax.tree.map(np.testing.assert_array_equal, got.result, want.result)
-    for a, b in zip(got.first._replace(plans=None), want.first._replace(plans=None)):
-        np.testing.assert_array_equal(a, b)
-    assert got.first.plans == want.first.plans
-
-
 @pytest.mark.jit
 @pytest.mark.skipif(not find_compiler(), reason="no C++ compiler")
 def test_two_workers_and_another_order_give_the_same(jobs, one_worker):
     report = run_jobs(jobs[::-1], LIDAR, RULES, workers=2)
-    for got, want in zip(report.outcomes[::-1], one_worker):
-        assert_equal(got, want)
+    assert_equal(report.outcomes[::-1], one_worker)
     assert report.costs.run_s > 0
     for name, levels in report.costs.levels.items():
         assert levels == ["native on a CPU" if name.split("+")[0] in ("closest", "random") else "native driving"]

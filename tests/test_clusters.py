@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from ref import beliefs, plans
 from ref import gain as oracle
+from ref.beliefs import CORRIDOR, CROSS, FAR_OFF, NEAR, NICHES, ONE_METRE, STAR
 
 from jexplore.planning import field, known_of
 from jexplore.policies import clusters
@@ -23,25 +24,6 @@ from jexplore.rules import Lidar
 
 pytestmark = pytest.mark.jit
 
-ONE_METRE = {"cell_m": 1.0}
-CROSS = Lidar(n_beams=4, fov_deg=360, range_m=4.0)  # in cells of one metre: four cells back, right, ahead, left
-STAR = Lidar(n_beams=8, fov_deg=360, range_m=1.5)  # the eight cells around
-
-# One step to the left a frontier that shows 1 cell, six to the right one that shows 3; known cells 5 from either.
-CORRIDOR = """
-    ##############
-    #?.R......???#
-    ##############
-"""
-NEAR, FAR_OFF = (1, 2), (1, 9)
-
-# Three unknown niches. The frontier at each is three cells wide; the nearest of them stands for all.
-NICHES = """
-    ##################
-    ##?#######?###?###
-    #......R.........#
-    ##################
-"""
 A, B, C = (1, 3), (1, 9), (1, 13)  # paths from the robot 4, 2, 6; A to B 6, B to C 4, A to C 10
 
 

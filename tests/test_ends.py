@@ -8,7 +8,7 @@ from ref import fuzz, maps
 from ref.refusals import refused
 
 import jexplore as jx
-from jexplore.config import InputError, InputWarning
+from jexplore.config import InputWarning
 from jexplore.rules import Lidar, Robot, Rules
 from jexplore.studies.explore import replay_of
 
@@ -128,8 +128,7 @@ def test_wrong_rules_are_refused(change, message):
 
 
 def test_an_environment_does_not_drive_home():
-    with pytest.raises(InputError, match=r"^rules.return_home must be False"):
-        jx.Environment("maze:width_m=6,height_m=6", rules={"return_home": True})
+    refused(r"^rules.return_home must be False", jx.Environment, "maze:width_m=6", rules={"return_home": True})
 
 
 def test_a_share_that_can_hardly_be_met_is_told():

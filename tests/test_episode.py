@@ -4,21 +4,12 @@ import jax
 import numpy as np
 import pytest
 from ref import maps
-from ref.episodes import assert_equal_episodes, clear_cells, play, replay
+from ref.episodes import clear_cells, compared, play
 
 from jexplore.exploration.state import Outcome, Stream
 from jexplore.exploration.trail import decode, detail_of
 from jexplore.grid import radius_d2
 from jexplore.rules import Lidar, Rules
-
-
-def assert_same(occupied, start, strategy, lidar, rules, *, cell_m, rooms=None, **how):
-    """Plays and replays an episode; returns the kernel's result."""
-    result, state = play(occupied, start, strategy, lidar, rules, cell_m=cell_m, rooms=rooms, **how)
-    want = replay(occupied, start, strategy, lidar, rules, cell_m=cell_m, rooms=rooms)
-    assert_equal_episodes(result, state, want, cell_m=cell_m, rooms=rooms)
-    return result
-
 
 # ---------------------------------------------------------------- by hand, without jit
 
@@ -35,11 +26,9 @@ def test_a_corridor_by_hand():
         #.....#
         #######
     """)
-    result, state = play(occupied, (1, 1, 0), "closest", CROSS, ONE_CELL, cell_m=1.0, shape=PENCIL_SHAPE)
     # The start is next to no unknown cell but (0, 2) and (2, 2) above and below the next one: it is a frontier itself.
-    want = replay(occupied, (1, 1, 0), "closest", CROSS, ONE_CELL, cell_m=1.0)
+    result, state, _ = compared(occupied, (1, 1, 0), "closest", CROSS, ONE_CELL, cell_m=1.0, shape=PENCIL_SHAPE)
     assert Outcome(int(result.outcome)) == Outcome.COMPLETE
-    assert_equal_episodes(result, state, want, cell_m=1.0)
     row = state.belief.grid.hits[1].tolist(), (state.belief.grid.misses[1] > 0).tolist()
     assert row[0][0] > 0
     assert row[0][6] > 0
@@ -65,25 +54,17 @@ PENCIL = {
 WITHOUT_JIT = "no look around", "plan limit", "stuck", "in a wall"  # the others take 4 s or more without
 
 
-def assert_pencil(name):
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name in WITHOUT_JIT else pytest.mark.jit) for name in PENCIL]
+)
+def test_tiny_worlds(name):
     text, lidar, rules = PENCIL[name]
     occupied = maps.walls(text) if name != "in a wall" else maps.walls(text.replace("S", "#"))
     start = (*maps.one(text, "S"), 0)
-    result = assert_same(occupied, start, "closest+recheck", lidar, rules, cell_m=1.0, shape=PENCIL_SHAPE)
+    result, *_ = compared(occupied, start, "closest+recheck", lidar, rules, cell_m=1.0, shape=PENCIL_SHAPE)
     ends = {"step limit": "STEP_LIMIT", "plan limit": "PLAN_LIMIT", "stuck": "STUCK", "in a wall": "STUCK"}
     if name in ends:
         assert Outcome(int(result.outcome)).name == ends[name]
-
-
-@pytest.mark.parametrize("name", WITHOUT_JIT)
-def test_tiny_worlds_without_jit(name):
-    assert_pencil(name)
-
-
-@pytest.mark.jit
-@pytest.mark.parametrize("name", [name for name in PENCIL if name not in WITHOUT_JIT])
-def test_tiny_worlds_with_jit(name):
-    assert_pencil(name)
 
 
 # ---------------------------------------------------------------- random worlds, with jit
@@ -130,15 +111,15 @@ BLOCKED = """
 def test_a_start_near_walls_can_end_blocked_or_stuck():
     """In the doorway both rooms are connected by cells near the start, which no plan from afar may use."""
     rules, outcomes = Rules(near_m=0.4), set()
-    lidar = Lidar(range_m=0.7, n_beams=11, fov_deg=90)
+    lidar, how = Lidar(range_m=0.7, n_beams=11, fov_deg=90), {"cell_m": 0.1, "shape": SHAPE, "beams_as": BEAMS_AS}
     occupied = np.repeat(np.repeat(maps.walls(BLOCKED), 3, axis=0), 3, axis=1)
     for start in ((16, 16, 90), (16, 16, 0), (6, 16, 270), (1, 1, 45)):
         for strategy in ("closest", "closest+recheck"):
-            result = assert_same(occupied, start, strategy, lidar, rules, cell_m=0.1, shape=SHAPE, beams_as=BEAMS_AS)
+            result, *_ = compared(occupied, start, strategy, lidar, rules, **how)
             outcomes.add(Outcome(int(result.outcome)).name)
     occupied[:, :] = True
     occupied[5, 5:7] = False
-    result = assert_same(occupied, (5, 5, 0), "closest", lidar, rules, cell_m=0.1, shape=SHAPE, beams_as=BEAMS_AS)
+    result, *_ = compared(occupied, (5, 5, 0), "closest", lidar, rules, **how)
     outcomes.add(Outcome(int(result.outcome)).name)
     assert outcomes >= {"BLOCKED", "STUCK"}
 

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from ref import beliefs
+from ref.beliefs import NICHES, ONE_METRE, STAR
 from ref.refusals import refused
 
 from jexplore.planning import field
@@ -14,17 +15,8 @@ from jexplore.policies import clusters, parse_strategy
 from jexplore.policies.learned import features, model, networks
 from jexplore.policies.learned.strategy import is_forced
 from jexplore.raycast import beam_table
-from jexplore.rules import Lidar
 
 SCORES = jax.jit(networks.scores, static_argnums=0)
-ONE_METRE = {"cell_m": 1.0}
-STAR = Lidar(n_beams=8, fov_deg=360, range_m=1.5)  # in cells of one metre: the eight cells around
-NICHES = """
-    ##################
-    ##?#######?###?###
-    #......R.........#
-    ##################
-"""  # A, B, C: paths from the robot 4, 2, 6; A to B 6, B to C 4, A to C 10
 
 
 def told(text, last=(-1, -1)):

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
+from ref.refusals import refused
 
 import jexplore as jx
-from jexplore.config import InputError
 from jexplore.driving.local.area import SeenArea
 from jexplore.driving.local.lattice import Lattice, outlines
 from jexplore.driving.local.nodes import TRIES, Exit, Node, TraceMap, direction_out
@@ -54,35 +54,30 @@ def test_cost_is_the_way_straight_on_and_more_to_the_back():
     assert found.cost[84, 84] - begin == pytest.approx(0.25 + 20 * math.sqrt(2) * 0.1, abs=0.01)
 
 
+def reaches(window, row, col, **how):
+    """Return whether a path leads to a cell from a place 2 m before the middle."""
+    return bool(np.isfinite(Lattice(window, np.array([-1.95, 0.05, 0.0]), CRAWLER, **how).cost[row, col]))
+
+
 @pytest.mark.parametrize(("cells", "passes"), [(4, False), (6, True)])
 def test_robot_passes_where_its_width_fits(cells, passes):
     window = window_with((50, 30, 28, 30), (64 - cells // 2, 60, cells, 20), (50, 80, 28, 30))
-    found = Lattice(window, np.array([-1.95, 0.05, 0.0]), CRAWLER)
-    assert np.isfinite(found.cost[64, 95]) == passes
+    assert reaches(window, 64, 95) == passes
 
 
 def test_robot_does_not_turn_where_its_length_does_not_fit():
     """A corner of 0.6 m: each leg is wide enough, the bend is not for a robot of 0.7 m."""
     window = window_with((61, 40, 6, 30), (30, 64, 37, 6))
-    found = Lattice(window, np.array([-1.95, 0.05, 0.0]), CRAWLER)
-    assert np.isfinite(found.cost[64, 60])
-    assert np.isinf(found.cost[35, 66])
-    wide = window_with((59, 40, 10, 30), (30, 60, 39, 10))
-    assert np.isfinite(Lattice(wide, np.array([-1.95, 0.05, 0.0]), CRAWLER).cost[35, 65])
+    assert [reaches(window, *cell) for cell in ((64, 60), (35, 66))] == [True, False]
+    assert reaches(window_with((59, 40, 10, 30), (30, 60, 39, 10)), 35, 65)
 
 
-def test_unknown_cells_are_not_passed():
+def test_unknown_cells_are_not_passed_but_may_be_hoped_for():
     free = (50, 30, 28, 70)
-    assert np.isfinite(Lattice(window_with(free), np.array([-1.95, 0.05, 0.0]), CRAWLER).cost[64, 90])
-    across = window_with(free, unknown=[(50, 70, 28, 1)])
-    assert np.isinf(Lattice(across, np.array([-1.95, 0.05, 0.0]), CRAWLER).cost[64, 90])
-
-
-def test_unknown_cells_may_be_hoped_for():
+    assert reaches(window_with(free), 64, 90)
+    assert not reaches(window_with(free, unknown=[(50, 70, 28, 1)]), 64, 90)
     window = window_with((50, 30, 28, 30), (61, 60, 6, 20), (50, 80, 28, 30), unknown=[(61, 65, 6, 5)])
-    pose = np.array([-1.95, 0.05, 0.0])
-    reached = [np.isfinite(Lattice(window, pose, CRAWLER, through_unknown=hopes).cost[64, 95]) for hopes in (0, 1)]
-    assert reached == [False, True]
+    assert [reaches(window, 64, 95, through_unknown=hopes) for hopes in (0, 1)] == [False, True]
 
 
 def test_path_leads_from_the_robot_to_the_cell_by_single_motions():
@@ -204,12 +199,12 @@ def test_exit_that_is_not_there_goes_when_the_place_is_sure_and_near():
 
 def test_tries_begin_anew_where_more_of_a_way_is_known():
     trace = new_map()
-    trace.note([place_at(3, 0, [(0.0, -1, (5, 0))])], AT, AT)
-    trace.nodes[1].exits[0].tries = 2
-    trace.note([place_at(3, 0, [(0.0, -1, (5.1, 0))])], AT, AT)
-    assert trace.nodes[1].exits[0].tries == 2
-    trace.note([place_at(3, 0, [(0.0, -1, (6, 0))])], AT, AT)
-    assert trace.nodes[1].exits[0].tries == 0
+    for end, made, kept in ((5.0, 2, 0), (5.1, 2, 2), (4.5, 3, 2), (6.0, 3, 0)):
+        trace.note([place_at(3, 0, [(0.0, -1, (end, 0))])], AT, AT)
+        assert trace.nodes[1].exits[0].tries == kept
+        trace.nodes[1].exits[0].tries = made
+    trace.note([place_at(3, 0)], AT, AT)  # it is not seen: that it was given up is kept
+    assert [e.tries for e in trace.nodes[1].exits] == [3]
 
 
 def test_dropped_node_leaves_exits_into_the_unknown():
@@ -415,16 +410,6 @@ def cross(cells=120):
     return World(occupied=occupied, cell_m=0.1, name="cross")
 
 
-def test_wrong_perception_is_told():
-    with pytest.raises(InputError, match="perception must be one of auto, triangles, map, got 'eyes'"):
-        prepare_trace(cross(), perception="eyes")
-
-
-def test_uneven_ground_is_told():
-    with pytest.raises(InputError, match="perception map: the ground must be level"):
-        jx.btm.trace("course", perception="map")
-
-
 @pytest.mark.jit
 @pytest.mark.slow
 def test_robot_maps_a_crossing_the_same_way_twice():
@@ -464,15 +449,6 @@ def test_robot_without_readings_is_blind_and_one_without_time_ends():
     assert blind.table["outcome"].tolist() == ["BLIND"]
     late = jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), max_steps=100, perception="map")
     assert late.table[["outcome", "steps"]].iloc[0].tolist() == ["STEP_LIMIT", 100]
-
-
-def test_exit_is_not_tried_anew_where_less_is_known():
-    trace = new_map()
-    for end, tries in ((5.0, 2), (4.5, 3), (5.0, 3)):
-        trace.note([place_at(3, 0, [(0.0, -1, (end, 0))])], AT, AT)
-        trace.nodes[1].exits[0].tries = max(trace.nodes[1].exits[0].tries, tries)
-    trace.note([place_at(3, 0)], AT, AT)  # it is not seen: that it was given up is kept
-    assert [e.tries for e in trace.nodes[1].exits] == [3]
 
 
 def test_link_that_failed_from_either_end_is_blocked():
@@ -522,12 +498,17 @@ def test_run_with_a_full_map_says_so():
 
 
 def test_what_does_not_count_with_a_local_map_is_told():
-    with pytest.raises(InputError, match="sweep: votes goes with perception triangles; with map width_m"):
-        prepare_trace(cross(), sweep=["votes=1,2"], perception="map")
-    with pytest.raises(InputError, match=r"tuning\.votes goes with perception triangles"):
-        prepare_trace(cross(), tuning={"votes": 4}, perception="map")
-    with pytest.raises(InputError, match="engine and lanes go with perception triangles"):
-        jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), engine="jax")
+    for message, call, world, how in (
+        ("perception must be one of auto, triangles, map, got 'eyes'", prepare_trace, cross(), {"perception": "eyes"}),
+        ("perception map: the ground must be level", jx.btm.trace, "course", {"perception": "map"}),
+        ("sweep: votes goes with perception triangles; with map width_m", prepare_trace, cross(),
+         {"sweep": ["votes=1,2"], "perception": "map"}),
+        (r"tuning\.votes goes with perception triangles", prepare_trace, cross(),
+         {"tuning": {"votes": 4}, "perception": "map"}),
+        ("engine and lanes go with perception triangles", jx.btm.trace, cross(),
+         {"start": (1.5, 6.0, 0.0), "engine": "jax"}),
+    ):  # fmt: skip
+        refused(message, call, world, **how)
 
 
 def test_perception_depends_on_the_world():

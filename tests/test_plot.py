@@ -5,7 +5,7 @@ import pytest
 from matplotlib.figure import Figure
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from PIL import Image
-from ref.figures import check_texts, pixels
+from ref.figures import check_texts, pixels, shown
 from ref.refusals import refused
 
 from jexplore.config import InputError
@@ -14,17 +14,6 @@ from jexplore.report.plots import maps
 
 STATE = np.array([[2, 2, 2, 2], [2, 1, 1, 0], [2, 2, 0, 0]], dtype=np.uint8)
 LONG = "decision-theoretic+recheck+segment:samples=500,lam=0.2"
-
-
-@pytest.fixture
-def ax():
-    figure = Figure(figsize=(4, 3))
-    yield figure.add_axes((0, 0, 1, 1))
-    figure.clear()
-
-
-def shown(figure):
-    return [ax for ax in figure.axes if ax.get_visible()]
 
 
 def test_map_by_pixels(ax):

@@ -1,10 +1,8 @@
 """Pictures of maps: what the artists hold, and that no text or legend covers another."""
 
 import numpy as np
-import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
-from matplotlib.figure import Figure
 from ref.figures import pixels
 
 from jexplore.report import plot_traces
@@ -35,13 +33,6 @@ TRAIL = np.column_stack(
 )
 WALLS = np.array([[-1.0, 1.0, 7.0, 1.0], [9.0, 3.0, 9.0, -6.0]])
 RUN = np.repeat([0, 2, 1], [70, 11, 40])
-
-
-@pytest.fixture
-def ax():
-    figure = Figure(figsize=(4, 3))
-    yield figure.add_axes((0, 0, 1, 1))
-    figure.clear()
 
 
 def lines_of(ax):

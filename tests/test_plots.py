@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from ref.figures import check_texts
+from ref.figures import check_texts, shown
 from ref.refusals import refused
 from test_over_worlds import episodes, fail
 from test_response import sweep
@@ -22,10 +22,6 @@ def ax():
 def drawn(worlds, strategies, n=4, seed=0):
     rng = np.random.default_rng(seed)
     return episodes({(w, s): rng.gamma(9, 9 + k, n) for w in worlds for k, s in enumerate(strategies)})
-
-
-def shown(figure):
-    return [ax for ax in figure.axes if ax.get_visible()]
 
 
 def test_ratios_by_hand(ax):

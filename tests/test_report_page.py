@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from PIL import Image
-from ref.browser import TIMERS, assert_alone, data_of, unpacked
+from ref.browser import assert_alone, data_of, unpacked
 
 from jexplore.report.page.assemble import html_text, script_data
 from jexplore.report.page.packing import change, runs
@@ -329,9 +329,7 @@ def test_it_replays_in_a_browser(body):
         replay(world=nasty, strategy="b", seed=2, n=20, truth=replay().truth),
     )
     text = page(nasty, replays=[one, other, replay(world="maze", strategy="b", seed=3)])
-    found = body(text.replace("<style>", TIMERS + "<style>").replace("</body>", SCENARIO + "</body>"), "#t=0.5")
-    assert "error" not in found, found["error"]
-    seen = json.loads(found["test"])
+    seen = json.loads(body(text, "#t=0.5", SCENARIO)["test"])
     frames = {name: value["frame"] for name, value in seen.items() if isinstance(value, dict)}
     assert (seen["ran"], seen["playing"], seen["bold"]) == (0, False, 0)
     assert (frames["hash"], seen["hash"]["frames"], seen["hash"]["measure"]) == (20, 41, "metres")
@@ -381,15 +379,11 @@ def test_a_reader_chooses_the_episode(body):
     shown = [replay(truth=plan, strategy=name, world=world) for world in ("cave", "maze") for name in "ab"]
     later = [replay(n=n, truth=plan, strategy=name, episode=4) for n, name in ((5, "a"), (3, "b"))]
     text = report_page("r", {}, replays=[*shown, *later])
-    found = body(text.replace("</body>", EPISODES + "</body>"))
-    assert "error" not in found, found["error"]
-    assert json.loads(found["test"]) == [2, "0,4", [0, 0], 6, 0, 1, 2, False]
+    assert json.loads(body(text, scenario=EPISODES)["test"]) == [2, "0,4", [0, 0], 6, 0, 1, 2, False]
 
 
 @pytest.mark.slow
 def test_one_frame_opens_too(body):
     still = replay(n=0)
-    found = body(report_page("r", {}, replays=[still]), "#t=1")
-    assert "error" not in found, found["error"]
-    assert json.loads(found["state"])["frames"] == 1
-    assert "error" not in body(report_page("r", {}))
+    assert json.loads(body(report_page("r", {}, replays=[still]), "#t=1")["state"])["frames"] == 1
+    body(report_page("r", {}))

@@ -34,22 +34,17 @@ LIDAR = Lidar(n_beams=37, range_m=1.5)
 ROOMS = "rooms:width_m=6,height_m=5"
 
 
-def picture(mask):
-    """Rows from the top, as in `maps.walls`."""
-    return ["".join(".#"[int(cell)] for cell in row) for row in mask[::-1]]
-
-
 def test_a_triangle_by_hand():
     """Cells whose centres lie within; those on the edge's left are outside."""
     within = stay_within(ROOM, [(1, 1), (7, 1), (1, 4)]).within
-    assert picture(within) == ["........", ".#......", ".###....", ".#####..", "........"]
+    assert maps.picture(within, 1) == ["........", ".#......", ".###....", ".#####..", "........"]
 
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_corners_may_go_round_either_way(turned):
     corners = [(2, 0), (5, 0), (5, 3), (2, 3)]
     within = stay_within(ROOM, corners[::-1] if turned else corners).within
-    assert picture(within) == ["........", "........", "..###...", "..###...", "..###..."]
+    assert maps.picture(within, 1) == ["........", "........", "..###...", "..###...", "..###..."]
 
 
 def test_a_polygon_of_text():
@@ -74,10 +69,10 @@ def test_a_region_without_floor_is_refused():
 
 def test_starts_lie_within_and_where_the_map_is_known():
     left = stay_within(ROOM, [(0, 0), (4, 0), (4, 5), (0, 5)])
-    assert picture(start_region(left, 0.0)) == ["........", ".###....", ".###....", ".###....", "........"]
+    assert maps.picture(start_region(left, 0.0), 1) == ["........", ".###....", ".###....", ".###....", "........"]
     known = np.full(ROOM.shape, -1)
     known[1:3] = 0
-    assert picture(start_region(with_known(left, known), 0.0)) == [
+    assert maps.picture(start_region(with_known(left, known), 0.0), 1) == [
         *["........"] * 2,
         ".###....",
         ".###....",

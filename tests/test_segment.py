@@ -166,15 +166,11 @@ def test_splits_that_do_not_fit_are_counted():
     assert ((few.label >= 0) == free).all()
 
 
-@pytest.mark.parametrize("free", [False, True])
-def test_a_single_cell(free):
-    found = segment(jnp.full((1, 1), free), criteria("thrun", prominence=0.0), form=TINY)
-    assert found.label.tolist() == [[-1]]
-    assert (int(found.count), int(found.overflow)) == (0, 0)
-
-
-def test_maps_without_free_space():
-    found = segment(jnp.zeros(SHAPES[0], bool), criteria("thrun", prominence=0.0), form=FORM)
+@pytest.mark.parametrize(
+    ("shape", "free", "form"), [((1, 1), False, TINY), ((1, 1), True, TINY), (SHAPES[0], False, FORM)]
+)
+def test_a_single_cell_and_maps_without_free_space(shape, free, form):
+    found = segment(jnp.full(shape, free), criteria("thrun", prominence=0.0), form=form)
     assert (np.asarray(found.label) == -1).all()
     assert (int(found.count), int(found.overflow)) == (0, 0)
 

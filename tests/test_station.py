@@ -9,7 +9,7 @@ import re
 
 import pytest
 from ref import browser
-from ref.browser import TIMERS, assert_alone, data_of
+from ref.browser import assert_alone, data_of
 from ref.traces import FIRST, GOOD, SECOND, chain, node, stub, way
 
 import jexplore as jx
@@ -348,21 +348,8 @@ Element.prototype.setPointerCapture = () => {};
 """
 
 
-@pytest.fixture(scope="module")
-def body(tmp_path_factory):
-    """A function that opens a page in headless Chromium and gives the data attributes of its body."""
-    opened = browser.opener(tmp_path_factory.mktemp("browser"))
-
-    def of(text, scenario=""):
-        found = opened(text.replace("<style>", TIMERS + "<style>", 1).replace("</body>", scenario + "</body>"))
-        assert "error" not in found, found["error"]
-        return found
-
-    return of
-
-
 def test_two_clicks_give_a_route(body):
-    seen = json.loads(body(jx.btm.station([SQUARE], ["scout"]), SCENARIO)["test"])
+    seen = json.loads(body(jx.btm.station([SQUARE], ["scout"]), scenario=SCENARIO)["test"])
     assert (seen["start"]["robot"]["name"], seen["start"]["route"], seen["start"]["picked"]) == ("kamui", None, None)
     assert (seen["one"]["from"], seen["one"]["to"], seen["one"]["picked"]) == (0, None, {"kind": "node", "id": 0})
     assert (seen["two"]["from"], seen["two"]["to"], seen["two"]["route"]["links"]) == (0, 2, [4])
@@ -414,7 +401,7 @@ const wait = (ms = 60) => new Promise((done) => setTimeout(done, ms));
 def test_maps_apart_are_asked_one_by_one(body):
     maps = (btm.with_attributes(own) for btm, own in ((FIRST, {"robot": "kamui"}), (THERE, {"robot": "wheeled"})))
     page = jx.btm.station([*maps, chain("TDFDT").with_attributes({"seed": 3})], ["a", NASTY, "c"])
-    seen = json.loads(body(page, APART)["test"])
+    seen = json.loads(body(page, scenario=APART)["test"])
     assert seen["captions"] == [
         f"{GLOBAL_MAP}a, {NASTY}. In the frame of a.Enlarge",
         "cStands apart: it has not enough in common with the other maps.Enlarge",
@@ -443,7 +430,7 @@ station.setEnds(last, document.getElementById("from").options.length > 1 ? last 
     ],
 )
 def test_maps_of_one_node_or_none_open_too(body, btm, nodes):
-    found = json.loads(body(jx.btm.station([btm]), LAST)["state"])
+    found = json.loads(body(jx.btm.station([btm]), scenario=LAST)["state"])
     assert found["map"] == "0"
     assert (found["route"] and found["route"]["nodes"]) == nodes
 

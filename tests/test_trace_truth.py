@@ -105,10 +105,7 @@ def test_a_junction_in_whose_circle_the_robot_starts_is_one_as_well():
 
 def test_of_a_course_the_topology_is_taken():
     world = course(0)
-    assert world.course is not None
-    x_m, y_m, _ = world.course.start_pose
-    start_rc = int((y_m - world.origin_m[1]) / world.cell_m), int((x_m - world.origin_m[0]) / world.cell_m)
-    found = truth(world, start_rc)
+    found = truth(world, start_of(world))
     assert found.map is world.course.topology
     places = [(n.x_m, n.y_m) for n in found.map.nodes if n.type in ("divergence", "free_space")]
     np.testing.assert_array_equal(found.marks[:, :2], places)

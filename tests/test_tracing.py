@@ -135,13 +135,9 @@ def test_files_text_and_picture_show_one_map(made):
         (("--contact", "none"), "--contact goes with --robots"),
     ],
 )
-def test_what_is_refused(options, says, capsys, tmp_path, monkeypatch):
+def test_what_is_refused(options, says, refuses, tmp_path, monkeypatch):
     monkeypatch.setattr(batch, "run_missions", lambda *_, **__: pytest.fail("it began"))
-    assert main.main(["trace", *options, "--out", str(tmp_path / "new")]) == 2
-    said = capsys.readouterr()
-    assert says in said.err
-    assert said.err.count("\n") == 1
-    assert said.out == ""
+    refuses(["trace", *options, "--out", tmp_path / "new"], says)
     assert not (tmp_path / "new").exists()
 
 

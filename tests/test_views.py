@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from ref import beliefs
+from ref.beliefs import CORRIDOR, CROSS, FAR_OFF, NEAR, ONE_METRE
 
 from jexplore.gain import look, prospect
 from jexplore.planning import field, known_of
@@ -15,19 +16,6 @@ from jexplore.reach import FAR
 from jexplore.rules import Lidar
 
 pytestmark = pytest.mark.jit
-
-CROSS = Lidar(n_beams=4, fov_deg=360, range_m=4.0)  # in cells of one metre: four cells back, right, ahead, left
-
-# One step to the left lies a frontier that shows 1 cell, six to the right one that shows 3.
-CORRIDOR = """
-    ##############
-    #?.R......???#
-    ##############
-"""
-NEAR, FAR_OFF = (1, 2), (1, 9)
-
-
-ONE_METRE = {"cell_m": 1.0}
 
 
 # ---------------------------------------------------------------- by hand

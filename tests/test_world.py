@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from ref.maps import walls
 from ref.refusals import refused
 from ref.worlds import with_walls
 
@@ -23,11 +24,6 @@ from jexplore.worlds.world import World, occupancy_to_world, require_world, with
 masks = hnp.arrays(bool, st.tuples(st.integers(1, 12), st.integers(1, 12)))
 
 
-def picture(*rows, **fields):
-    """A world from text, the first row at the top; `#` is occupied."""
-    return World(occupied=np.array([[c == "#" for c in row] for row in rows[::-1]]), **fields)
-
-
 def room(rows, cols, **fields):
     """Return an empty room with a number of free cells inside its ring."""
     return with_ring(World(occupied=np.zeros((rows, cols), bool), **fields))
@@ -37,7 +33,7 @@ def room(rows, cols, **fields):
 
 
 def test_ring_is_added_and_everything_moves_along():
-    world = picture("..", ".#", start=(0, 1, 90), rooms=np.array([[0, 1], [2, -1]], np.int32), cell_m=0.5)
+    world = World(walls(".. .#"), start=(0, 1, 90), rooms=np.array([[0, 1], [2, -1]], np.int32), cell_m=0.5)
     ringed = with_ring(world)
     assert ringed.occupied.tolist() == [[1, 1, 1, 1], [1, 0, 1, 1], [1, 0, 0, 1], [1, 1, 1, 1]]
     assert ringed.rooms.tolist() == [[-1, -1, -1, -1], [-1, 0, 1, -1], [-1, 2, -1, -1], [-1, -1, -1, -1]]
@@ -47,10 +43,10 @@ def test_ring_is_added_and_everything_moves_along():
 
 
 def test_the_ground_goes_along_and_is_level_beyond_the_edge():
-    world = picture("..", "..", elevation=np.array([[0, 1], [2, 3]], np.float32))
+    world = World(walls(".. .."), elevation=np.array([[0, 1], [2, 3]], np.float32))
     assert with_ring(world).elevation.tolist() == [[0, 0, 1, 1], [0, 0, 1, 1], [2, 2, 3, 3], [2, 2, 3, 3]]
     assert with_ring(world).elevation.dtype == np.float32
-    assert require_world(picture("..", elevation=np.array([[0.5, 1.0]]))).elevation.dtype == np.float32
+    assert require_world(World(walls(".."), elevation=np.array([[0.5, 1.0]]))).elevation.dtype == np.float32
 
 
 @pytest.mark.parametrize(
@@ -62,7 +58,7 @@ def test_the_ground_goes_along_and_is_level_beyond_the_edge():
     ],
 )
 def test_wrong_ground_is_refused(elevation, line):
-    refused(line, require_world, picture("..", "..", elevation=elevation))
+    refused(line, require_world, World(walls(".. .."), elevation=elevation))
 
 
 def test_a_world_of_lists_is_one_of_arrays():
@@ -96,7 +92,7 @@ def test_a_world_may_hold_other_things_on_its_way_through_jax():
 
 @pytest.mark.parametrize("hole", [(0, 1), (2, 1), (1, 0), (1, 2)])
 def test_ring_is_added_for_one_hole_on_any_side_and_only_then(hole):
-    closed = picture("###", "#.#", "###")
+    closed = World(walls("### #.# ###"))
     assert with_ring(closed) is closed
     occupied = closed.occupied.copy()
     occupied[hole] = False
@@ -199,11 +195,11 @@ def test_components_are_what_the_robot_reaches_in_eight_directions(mask):
 
 
 def test_start_region_is_the_largest_and_of_equals_the_first():
-    world = picture("########", "#..#...#", "########")
+    world = World(walls("######## #..#...# ########"))
     assert np.argwhere(start_region(world, 0))[:, 1].tolist() == [4, 5, 6]
-    world = picture("#######", "#..#..#", "#######")
+    world = World(walls("####### #..#..# #######"))
     assert np.argwhere(start_region(world, 0))[:, 1].tolist() == [1, 2]
-    world = picture("####", "#.##", "##.#", "####")  # corner to corner is no way
+    world = World(walls("#### #.## ##.# ####"))  # corner to corner is no way
     assert np.argwhere(start_region(world, 0)).tolist() == [[1, 2]]
 
 
@@ -277,16 +273,16 @@ def test_a_start_beside_a_wall_may_leave_over_near_cells_only():
 
 
 def test_a_start_behind_a_wall_is_enclosed_however_near_clear_cells_are():
-    world = picture(
-        "#########",
-        "#.#.....#",
-        "#.#.....#",
-        "###.....#",
-        "#########",
-    )
+    world = World(walls("""
+        #########
+        #.#.....#
+        #.#.....#
+        ###.....#
+        #########
+    """))  # fmt: skip
     assert check_start(world, (2, 4, 0), 0) == (2, 4, 0)
     assert check_start(world, (2, 1, 0), 0) == (2, 1, 0)  # the other cell of the closet is clear at radius 0
-    for place, clearance_m in ((world, 0.1), (picture("####", "####", "#.##", "####"), 0)):  # no clear cell but its own
+    for place, clearance_m in ((world, 0.1), (World(walls("#### #### #.## ####")), 0)):  # no clear cell but its own
         refused("is enclosed", check_start, place, (2, 1, 0) if place is world else (1, 1, 0), clearance_m)
 
 

@@ -4,28 +4,16 @@ import itertools
 
 import numpy as np
 
+from . import plans
+
 AROUND = [(r, c) for r in (-1, 0, 1) for c in (-1, 0, 1) if (r, c) != (0, 0)]
-
-
-def obstacles(free):
-    """8-connected groups of cells that are not free: list of lists of `(row, col)`."""
-    left = {(int(r), int(c)) for r, c in np.argwhere(~free)}
-    groups = []
-    while left:
-        group = [left.pop()]
-        for r, c in group:
-            for dr, dc in AROUND:
-                if (r + dr, c + dc) in left:
-                    left.remove((r + dr, c + dc))
-                    group.append((r + dr, c + dc))
-        groups.append(group)
-    return groups
 
 
 def clutter(free, size):
     """`[H, W]` bool: obstacles with a short diagonal, off the rim."""
-    mask = np.zeros(free.shape, bool)
-    for group in obstacles(free):
+    mask, obstacle = np.zeros(free.shape, bool), plans.clusters(~free)
+    for number in range(obstacle.max() + 1):
+        group = np.argwhere(obstacle == number)
         (r0, c0), (r1, c1) = np.min(group, axis=0), np.max(group, axis=0)
         off_rim = min(r0, c0) > 0 and r1 < free.shape[0] - 1 and c1 < free.shape[1] - 1
         if off_rim and (r1 - r0) ** 2 + (c1 - c0) ** 2 < size**2:
@@ -35,11 +23,7 @@ def clutter(free, size):
 
 def squared(sites, none):
     """`[H, W]` int, squared distance to the nearest site."""
-    at = np.argwhere(sites)
-    if not len(at):
-        return np.full(sites.shape, none)
-    rows, cols = np.indices(sites.shape)
-    return np.min([(rows - r) ** 2 + (cols - c) ** 2 for r, c in at], axis=0)
+    return plans.nearest_site(sites)[0] if sites.any() else np.full(sites.shape, none)
 
 
 def peak_of(d2, inside, cell):

@@ -15,6 +15,25 @@ from jexplore.rules import Lidar
 from . import beams, maps, plans
 
 LIDAR = Lidar(n_beams=19, range_m=0.5)
+ONE_METRE = {"cell_m": 1.0}
+CROSS = Lidar(n_beams=4, fov_deg=360, range_m=4.0)  # in cells of one metre: four cells back, right, ahead, left
+STAR = Lidar(n_beams=8, fov_deg=360, range_m=1.5)  # the eight cells around
+
+# One step to the left a frontier that shows 1 cell, six to the right one that shows 3; known cells 5 from either.
+CORRIDOR = """
+    ##############
+    #?.R......???#
+    ##############
+"""
+NEAR, FAR_OFF = (1, 2), (1, 9)
+
+# Three unknown niches. The frontier at each is three cells wide; the nearest of them stands for all.
+NICHES = """
+    ##################
+    ##?#######?###?###
+    #......R.........#
+    ##################
+"""
 
 
 def belief_from(hits, misses, robot, *, extent=None, cell_m=0.1, **kernels):

@@ -13,7 +13,8 @@ from jexplore.arrays import bits
 from jexplore.config import InputWarning
 from jexplore.grid import empty_grid, is_known
 from jexplore.raycast import beam_table, fold, scan
-from jexplore.reach import DIAGONAL, MOTIONS, STRAIGHT
+
+from . import plans
 
 HEADINGS = range(8)
 
@@ -47,13 +48,9 @@ def begun(world, start, lidar, rules):
 
 def neighbours(stand, cell):
     """Cells that one motion leads to, and what it costs."""
-    row, col = cell
-    for drow, dcol in MOTIONS:
-        if not stand[row + drow, col + dcol]:
-            continue
-        if drow and dcol and not (stand[row + drow, col] and stand[row, col + dcol]):
-            continue
-        yield (row + drow, col + dcol), DIAGONAL if drow and dcol else STRAIGHT
+    for motion in plans.MOTIONS:
+        if plans.may_step(stand, *cell, motion):
+            yield (cell[0] + motion[0], cell[1] + motion[1]), plans.step_cost(motion)
 
 
 def shortest(stand, start, left, look):

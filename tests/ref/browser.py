@@ -41,7 +41,9 @@ def assert_alone(text, sources=()):
 
 
 def opener(folder):
-    """A function that opens a page, text, and gives the data attributes of its body.
+    """A function that opens a page, text, and gives the data attributes of its body, where no error may stand.
+
+    It takes what follows the page's address as well, and a scenario: a script at the page's end.
 
     Args:
       folder: an empty one, for the page and the browser's profile.
@@ -50,14 +52,17 @@ def opener(folder):
     if browser is None:
         pytest.skip("no chromium, chromium-browser or google-chrome on the path")
 
-    def opened(text, fragment=""):
+    def opened(text, fragment="", scenario=""):
+        text = text.replace("<style>", TIMERS + "<style>", 1).replace("</body>", scenario + "</body>")
         path = folder / "page.html"
         path.write_text(text, encoding="ascii")
         command = [browser, "--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={folder / 'profile'}"]
         command += ["--virtual-time-budget=10000", "--dump-dom", path.as_uri() + fragment]
         dom = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout
         (tag,) = re.findall(r"<body[^>]*>", dom)
-        return {name: html.unescape(value) for name, value in re.findall(r'data-(\w+)="(.*?)"', tag)}
+        found = {name: html.unescape(value) for name, value in re.findall(r'data-(\w+)="(.*?)"', tag)}
+        assert "error" not in found, found["error"]
+        return found
 
     return opened
 

@@ -299,6 +299,9 @@ def differences(result, state, want, *, cell_m, rooms=None, within=None, known=N
     return [name + text for name, (got, expected) in pairs.items() if (text := _first_difference(got, expected))]
 
 
-def assert_equal_episodes(result, state, want, *, cell_m, rooms=None, robot=ROBOT):
-    """Nothing that both of them measure differs."""
-    assert differences(result, state, want, cell_m=cell_m, rooms=rooms, robot=robot) == []
+def compared(*episode, shape=None, beams_as=None, native=False, **world):
+    """Play an episode by both, and assert that nothing they measure differs: what `play` gave and `replay` gave."""
+    result, state = play(*episode, shape=shape, beams_as=beams_as, native=native, **world)
+    want = replay(*episode, **world)
+    assert differences(result, state, want, **world) == []
+    return result, state, want

@@ -16,6 +16,11 @@ def pixels(figure, dpi=100):
     return np.asarray(canvas.buffer_rgba())[..., :3]
 
 
+def shown(figure):
+    """Return the axes that are drawn."""
+    return [ax for ax in figure.axes if ax.get_visible()]
+
+
 def shown_texts(figure):
     """The texts that are drawn; tick labels beyond the limits of their axis are not."""
     ticks = [

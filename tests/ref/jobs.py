@@ -28,6 +28,15 @@ def some_jobs(strategies=("closest", "closest+recheck")):
     return jobs
 
 
+def assert_equal(got, want):
+    """Results, first maps and plans of outcomes, bit by bit."""
+    for ours, theirs in zip(got, want, strict=True):
+        jax.tree.map(np.testing.assert_array_equal, ours.result, theirs.result)
+        for a, b in zip(ours.first._replace(plans=None), theirs.first._replace(plans=None), strict=True):
+            np.testing.assert_array_equal(a, b)
+        assert ours.first.plans == theirs.first.plans
+
+
 def digest(report):
     """A number that differs if any bit of any result, last map or way does."""
     arrays = [a for o in report.outcomes for a in (*jax.tree.leaves(o.result), *o.first) if isinstance(a, np.ndarray)]
