@@ -111,8 +111,8 @@ class Odometry(Settings):
     """Errors of the odometry, for robots whose pose is not given: on a grid, and on tracks as part of `jx.btm.Noise`.
 
     The squares of the first four are alpha 3, 1, 2 and 4 of Thrun, Burgard and Fox 2005, 5.4; the errors of alpha 2 and
-    4 grow with the root of way and turn, so that they do not depend on the length of steps. The last four are systematic:
-    robots that match scans estimate them.
+    4 grow with the root of way and turn, so that they do not depend on the length of steps. The last four are
+    systematic: robots that match scans estimate them.
     """
 
     HOLDS_ARRAYS: ClassVar[bool] = True
