@@ -112,7 +112,7 @@ class Odometry(Settings):
 
     The squares of the first four are alpha 3, 1, 2 and 4 of Thrun, Burgard and Fox 2005, 5.4; the errors of alpha 2 and
     4 grow with the root of way and turn, so that they do not depend on the length of steps. The last four are
-    systematic: robots that match scans estimate them.
+    systematic: with `pose="icp"` the robot estimates them.
     """
 
     HOLDS_ARRAYS: ClassVar[bool] = True

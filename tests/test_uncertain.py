@@ -126,12 +126,20 @@ def test_the_stated_covariance_is_that_of_draws():
     assert np.all(np.diagonal(step_covariance(EXACT, jnp.float32(0), jnp.float32(0))) > 0)
 
 
-def test_known_errors_are_taken_out():
-    noise = Odometry(length_scale=1.25, turn_scale=0.8, heading_bias_deg_m=-3, slip=0)
-    told = encoded(noise, jnp.float32(0.5), jnp.float32(0.7), jnp.float32(0.5), jnp.zeros(4))
-    errors = unknown_errors()._replace(error=jnp.float32([1, -1, -1]))
-    np.testing.assert_allclose(corrected(noise, errors, *told, jnp.float32(0.5)), [0.5, 0.7], rtol=1e-5)
+@pytest.mark.parametrize("turn", [0.7, -2.0])
+def test_known_errors_are_taken_out(turn):
+    noise = Odometry(length_scale=1.25, turn_scale=1.0, heading_bias_deg_m=-3, slip=0.2)
+    told = encoded(noise, jnp.float32(0.5), jnp.float32(turn), jnp.float32(0.5), jnp.zeros(4))
+    errors = unknown_errors()._replace(error=jnp.float32([1, 1, -1]))
+    np.testing.assert_allclose(corrected(noise, errors, *told, jnp.float32(0.5)), [0.5, 0.8 * turn], rtol=1e-5)
     assert corrected(noise, unknown_errors(), *told, jnp.float32(0.5)) == told
+
+
+def test_errors_stay_where_rounding_leaves_no_knowledge():
+    """The prior is singular: nothing can be inverted."""
+    errors = unknown_errors()._replace(with_pose=jnp.eye(3))
+    found = learned(errors, jnp.zeros((3, 3)), jnp.ones(3), jnp.zeros((3, 3)))
+    jax.tree.map(np.testing.assert_array_equal, found, unknown_errors())
 
 
 def turned_and_gone(numbers, moved, turn):
@@ -314,6 +322,8 @@ def test_a_robot_whose_scans_do_not_match_is_lost():
     unsure = state.poses.replace(covariance=jnp.diag(jnp.float32([0.1, 0.1, 0.3])) ** 2)
     lost = look(setup, given, state.replace(poses=unsure), jnp.bool_(True))
     assert lost.outcome == Outcome.LOST
+    undefined = unsure.replace(covariance=jnp.full((3, 3), jnp.nan))
+    assert look(setup, given, state.replace(poses=undefined), jnp.bool_(True)).outcome == Outcome.LOST
     assert not lost.plan_active
     assert look(setup, given, state.replace(poses=unsure), jnp.bool_(False)).outcome == Outcome.RUNNING
 
@@ -382,7 +392,7 @@ def test_wrong_options_are_refused_in_a_line(given, message):
 
 STRATEGY, N = "closest+recheck", 3
 NOISE = {"length": 0.05, "length_scale": 1.05, "heading_deg_sqrt_m": 2.0}
-TOLD = {"told": lambda view: view.poses.errors.error[0]}
+TOLD = {"told": lambda view: view.poses.errors.error[0], "told_turn": lambda view: view.poses.errors.error[1]}
 SHORT = {"n_beams": 91, "range_m": 3.0}  # one room is not seen from the other
 
 
@@ -412,6 +422,7 @@ def test_without_errors_an_episode_is_that_of_a_given_pose(by_pose):
         "unmatched",
         "loops",
         "told",
+        "told_turn",
     }
     for name in expected:
         if expected[name].dtype.kind == "f":  # lengths are sums of rounded steps
@@ -435,6 +446,7 @@ def test_matching_scans_makes_better_maps_than_odometry(by_pose):
     assert odometry["free_iou"].mean() < icp["free_iou"].mean()
     assert (odometry["told"] == 0).all()
     assert ((icp["told"] > 0.1) & (icp["told"] < 1.1)).all()  # about a metre is driven; 1: as long as it is
+    assert (icp["told_turn"] > 0).all()  # slip
     assert "ate_m" in by_pose["icp"].summary
 
 

@@ -54,7 +54,7 @@ def unknown_errors() -> SystematicErrors:
 def corrected(noise: Odometry, errors: SystematicErrors, way: Array, turn: Array, flat: Array) -> tuple[Array, Array]:
     """Return a reported motion without its systematic errors: `(way, turn)`, metres and radians; see `encoded`."""
     length, turned, bias = errors.error * _sizes(noise)
-    return way * jnp.exp(-length), (turn - bias * flat) * jnp.exp(-turned)
+    return way * jnp.exp(-length), (turn - bias * jnp.abs(flat)) * jnp.exp(-turned)
 
 
 def spread(
@@ -62,10 +62,10 @@ def spread(
 ) -> tuple[SystematicErrors, Array]:
     """Return errors and covariance `[3, 3]` (m^2, m rad, rad^2) of an estimated pose after a turn and a way.
 
-    To first order; what the heading's error adds to the place in second order counts as drawn.
+    Errors of the heading move the place to first order; the second order is added as independent of everything.
 
     Args:
-      covariance: `[3, 3]` float32, before them.
+      covariance: `[3, 3]` float32, before the turn.
       moved: `[2]` float32, the way in the map's frame, metres.
       turn: float32, radians.
     """
@@ -83,10 +83,10 @@ def spread(
 def learned(errors: SystematicErrors, prior: Array, off: Array, posterior: Array) -> SystematicErrors:
     """Return the errors after a match, regressed on the pose: a Kalman filter of pose and errors.
 
-    A match adds knowledge: where rounding has it otherwise, the errors stay, taken to be independent of the pose.
+    A match cannot make errors less certain. Where rounding says so, they stay, and are independent of the pose.
 
     Args:
-      prior: `[3, 3]` float32, covariance of the predicted pose, positive.
+      prior: `[3, 3]` float32, covariance of the predicted pose.
       off: `[3]` float32, the matched pose less the predicted one: m, m, rad.
       posterior: `[3, 3]` float32, covariance of the matched pose.
 

@@ -55,9 +55,10 @@ def turn_and_go(given: Given, state: State, heading: Array, goes: Array, when: A
     driven = rotated(wanted, true_turn - aside)
     share = _share_driven(given, poses.true[:2], driven)
     off = aside + told_turn - turn
-    told = rotated(wanted, told_turn - turn) * (share * told_m / jnp.maximum(way * cell_m, 1e-9))
+    told = rotated(wanted, told_turn - turn) * (told_m / jnp.maximum(way * cell_m, 1e-9))
     told = jnp.where(way > 0, told, rotated(jnp.float32([1, 0]), heading * EIGHTH + off) * told_m / cell_m)
     errors, covariance = spread(noise, poses.errors, poses.covariance, told * cell_m, told_turn)
+    told *= share  # the heading errs as on the whole way
 
     moved = poses.replace(
         true=jnp.append(poses.true[:2] + driven * share, true_turn),
