@@ -9,7 +9,7 @@ of STRATEGY (default learned+recheck) to those of every other strategy there, ov
 intervals; the worlds in which it loses most against the best of the others; and all compared with the shortest walk
 found with the map. With --seeds, all strategies but the first are one, trained with several seeds: the ratio of its
 paths to those of the first, with an interval over other seeds and other worlds of these kinds. With --models, ratios of
-all strategies but the first to it: paths and times to shares of the cells known, and areas above the curve.
+all strategies but the first to it: paths and times to shares of the cells known, areas above the curves, energy, turns.
 """
 
 import math
@@ -29,7 +29,7 @@ from jexplore.studies.statistics.paired import t_interval
 SHARES = {f"path_m_at_{share}": f"{share} %" for share in (50, 90, 95, 99)} | {"path_m": "100 %"}
 MEASURES = {column: f"path to {share}" for column, share in SHARES.items()} | {"area_m": "area, path"}
 MEASURES |= {column.replace("path_m", "time_s"): f"time to {share}" for column, share in SHARES.items()}
-MEASURES |= {"area_s": "area, time", "energy_j": "energy"}
+MEASURES |= {"area_s": "area, time", "energy_j": "energy", "turning_rad": "turns"}
 
 
 def beside(episodes, name, other, column="path_m"):
